@@ -1,0 +1,1 @@
+"""Pure functions of arrays: quaternions, Euler angles, dual quaternions, rigid transforms, splines."""

@@ -1,0 +1,29 @@
+"""Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, scenes."""
+
+from keypose.model.character import Character, Part, Scene
+from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
+from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
+from keypose.model.pose import Event, Motion, Pose
+from keypose.model.skeleton import Skeleton
+
+__all__ = [
+    "Channel",
+    "Character",
+    "Clip",
+    "Curve",
+    "CurveKind",
+    "Event",
+    "Extrapolation",
+    "Image",
+    "Interpolation",
+    "Material",
+    "Mesh",
+    "MorphSet",
+    "Motion",
+    "Part",
+    "Pose",
+    "Property",
+    "Scene",
+    "Skeleton",
+    "Skin",
+]

@@ -1,0 +1,32 @@
+"""Shared fixtures: the folder of real files, and clear reasons where something needed is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def find_data_dir() -> Path | None:
+    """The real files: KEYPOSE_DATA, else ../shared/data beside the checkout."""
+    named = os.environ.get("KEYPOSE_DATA")
+    folder = Path(named) if named else ROOT.parent / "shared" / "data"
+    return folder if (folder / "README.md").is_file() else None
+
+
+def data_files(pattern: str) -> list[Path]:
+    """Real files for parametrised tests; empty where the folder is missing."""
+    folder = find_data_dir()
+    return sorted(folder.glob(pattern)) if folder else []
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real files, or a skip that says how to get it."""
+    folder = find_data_dir()
+    if folder is None:
+        pytest.skip("the folder of real files is missing; set KEYPOSE_DATA to it")
+    return folder
