@@ -1,0 +1,221 @@
+"""The verbs and their options; each one's work is in its own module, imported when it runs."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    help="Character animation: look at it, convert it, render it, measure it.",
+    epilog="Wherever a FILE is asked, sample:NAME names a built-in character or performance: sample:human, sample:walk.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Inputs = Annotated[list[str], typer.Argument(metavar="FILE...", help="Files, or sample:NAME.", show_default=False)]
+OneInput = Annotated[str, typer.Argument(metavar="FILE", help="A file, or sample:NAME.", show_default=False)]
+ClipOption = Annotated[str | None, typer.Option("--clip", help="Name of the animation; the first one if not given.")]
+UnitOption = Annotated[
+    str | None, typer.Option("--unit", help="Unit of a file that does not say: m, cm, mm, inch, foot, or metres as a number.")
+]
+UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of a file that does not say: X, Y or Z.")]
+Host = Annotated[str, typer.Option(help="Address to listen on; only this machine can reach the default.")]
+Port = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the URL.")]
+
+
+def _examples(*lines: str) -> str:
+    return "[bold]Examples[/bold]\n\n" + "\n\n".join(f"[dim]$[/dim] {line}" for line in lines)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        import keypose
+
+        typer.echo(f"keypose {keypose.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Options before the verb."""
+
+
+@app.command(epilog=_examples("keypose demo", "keypose demo --no-browser --port 8123"))
+def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False) -> None:
+    """Open the studio on the built-in character, walking."""
+    from keypose.cli.studio import open_studio
+
+    open_studio(["sample:human"], host=host, port=port, open_browser=not no_browser)
+
+
+_STUDIO_EXAMPLES = _examples(
+    "keypose play walk.bvh character.glb", "keypose play sample:walk", "keypose studio --no-browser --port 8123"
+)
+_StudioInputs = Annotated[
+    list[str] | None, typer.Argument(metavar="[FILE]...", help="Files, or sample:NAME.", show_default=False)
+]
+
+
+@app.command(epilog=_STUDIO_EXAMPLES)
+def studio(
+    files: _StudioInputs = None, host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False
+) -> None:
+    """Open files in the browser studio; more can be dropped on its page."""
+    from keypose.cli.studio import open_studio
+
+    open_studio(files or [], host=host, port=port, open_browser=not no_browser)
+
+
+app.command(name="play", epilog=_STUDIO_EXAMPLES, help="Play files in the browser studio (the same as studio).")(studio)
+
+
+@app.command(
+    epilog=_examples("keypose info walk.bvh", "keypose info character.glb --json | jq .clips", "keypose info sample:human")
+)
+def info(
+    file: OneInput,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    unit: UnitOption = None,
+    up: UpOption = None,
+) -> None:
+    """Say what a file holds, and everything that was guessed, repaired or dropped on reading it."""
+    from keypose.cli.info import print_info
+
+    print_info(file, as_json=json, unit=unit, up=up)
+
+
+@app.command(
+    epilog=_examples(
+        "keypose convert take.bvh take.glb",
+        "keypose convert walk.bvh character.glb walking.glb",
+        "keypose convert character.glb run.bvh --clip Run --rate 60",
+    )
+)
+def convert(
+    files: Annotated[
+        list[str], typer.Argument(metavar="IN... OUT", help="Files to read, then the one to write.", show_default=False)
+    ],
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    out_unit: Annotated[str | None, typer.Option("--out-unit", help="Unit to write (BVH; else as it was read).")] = None,
+    order: Annotated[str | None, typer.Option("--order", help="Rotation order to write (BVH), such as ZXY.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Convert between formats, read the result back and print how exact it is."""
+    from keypose.cli.convert import convert_files
+
+    if len(files) < 2:
+        raise typer.BadParameter("expected at least one input and the output", param_hint="IN... OUT")
+    convert_files(
+        files[:-1], Path(files[-1]), clip=clip, rate_hz=rate, unit=unit, up=up, out_unit=out_unit, order=order, quiet=quiet
+    )
+
+
+class Theme(str, Enum):
+    """The look of the picture."""
+
+    light = "light"
+    dark = "dark"
+
+
+class Backend(str, Enum):
+    """What draws."""
+
+    auto = "auto"
+    gl = "gl"
+    cpu = "cpu"
+
+
+class View(str, Enum):
+    """Where the camera stands."""
+
+    front = "front"
+    side = "side"
+    back = "back"
+    top = "top"
+    three_quarter = "three-quarter"
+
+
+@app.command(
+    epilog=_examples(
+        "keypose render character.glb out.mp4",
+        "keypose render walk.bvh walk.gif --size 480x480 --view side",
+        "keypose render sample:human portrait.png --time 0.5",
+        "keypose render sample:walk sheet.png --sheet 12",
+        "keypose render sample:human around.mp4 --turntable",
+    )
+)
+def render(
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="IN... OUT", help="Files to draw, then the .png, .gif, .mp4 or .webm.", show_default=False),
+    ],
+    clip: ClipOption = None,
+    size: Annotated[str, typer.Option("--size", help="Width x height in pixels.")] = "1280x720",
+    rate: Annotated[float, typer.Option("--rate", help="Frames per second.", min=1, max=240)] = 30.0,
+    time: Annotated[float | None, typer.Option("--time", help="Moment of a still picture, in seconds.")] = None,
+    start: Annotated[float | None, typer.Option("--start", help="First moment, in seconds.")] = None,
+    end: Annotated[float | None, typer.Option("--end", help="Last moment, in seconds.")] = None,
+    view: Annotated[View, typer.Option("--view", help="Where the camera stands.")] = View.three_quarter,
+    follow: Annotated[bool, typer.Option("--follow", help="Let the camera travel with the character.")] = False,
+    turntable: Annotated[bool, typer.Option("--turntable", help="Turn once around the character.")] = False,
+    sheet: Annotated[int, typer.Option("--sheet", help="Number of frames on a contact sheet.", min=0, max=400)] = 0,
+    skeleton: Annotated[bool, typer.Option("--skeleton", help="Draw the skeleton over the mesh.")] = False,
+    theme: Annotated[Theme, typer.Option("--theme", help="Light or dark.")] = Theme.light,
+    backend: Annotated[Backend, typer.Option("--backend", help="OpenGL, or the software rasteriser.")] = Backend.auto,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Draw a picture, a video, a contact sheet or a turntable, without a screen."""
+    from keypose.cli.render import render_files
+
+    if len(files) < 2:
+        raise typer.BadParameter("expected at least one input and the output", param_hint="IN... OUT")
+    width, _, height = size.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 16 <= int(width) <= 8192 and 16 <= int(height) <= 8192):
+        raise typer.BadParameter(f"'{size}': expected WIDTHxHEIGHT, each from 16 to 8192", param_hint="--size")
+    render_files(
+        files[:-1],
+        Path(files[-1]),
+        clip=clip,
+        size=(int(width), int(height)),
+        rate_hz=rate,
+        time_s=time,
+        span_s=(start, end),
+        view=view.value,
+        follow=follow,
+        turntable=turntable,
+        sheet=sheet,
+        skeleton=skeleton,
+        theme=theme.value,
+        backend=backend.value,
+        unit=unit,
+        up=up,
+        quiet=quiet,
+    )
+
+
+@app.command(epilog=_examples("keypose bench", "keypose bench kernels --json kernels.json"))
+def bench(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="kernels, bvh, fk; all if not given.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")] = None,
+    rounds: Annotated[int, typer.Option("--rounds", help="How often every case is timed.", min=3, max=500)] = 15,
+) -> None:
+    """Measure this machine: our kernels beside other libraries and the machine's own limits, as ratios."""
+    from keypose.cli.bench import run_bench
+
+    run_bench(name, json, rounds)

@@ -1,0 +1,137 @@
+"""`keypose info`: what a file holds."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from keypose.cli.console import console
+from keypose.cli.inputs import file_word, open_input
+from keypose.model import Clip, Motion, Scene
+
+
+def describe(scene: Scene) -> dict[str, Any]:
+    """The object that `info --json` prints; keys that do not apply are null or empty."""
+    from keypose.evaluate import key_rate
+    from keypose.io.axes import unit_name
+
+    clips: list[dict[str, Any]] = []
+    for animation in scene.animations:
+        if isinstance(animation, Motion):
+            frames, rate = animation.frame_count, animation.rate_hz
+        else:
+            rate = key_rate(animation)
+            frames = round(animation.duration_s * rate) + 1 if rate else None
+        clips.append({"name": animation.name, "frames": frames, "rate_hz": rate, "duration_s": animation.duration_s})
+    names = [name for c in scene.characters for name in c.skeleton.names]
+    morphs = [name for c in scene.characters for name in c.morph_names]
+    first: dict[str, Any] = clips[0] if clips else {"frames": None, "rate_hz": None, "duration_s": None}
+    return {
+        "format": scene.format,
+        "unit": unit_name(scene.unit_m),
+        "up": scene.up,
+        "joints": len(names),
+        "joint_names": names,
+        "frames": first["frames"],
+        "rate_hz": first["rate_hz"],
+        "duration_s": first["duration_s"],
+        "markers": None,
+        "marker_names": [],
+        "meshes": sum(len(c.parts) for c in scene.characters),
+        "vertices": sum(c.vertex_count for c in scene.characters),
+        "triangles": sum(c.triangle_count for c in scene.characters),
+        "morphs": len(morphs),
+        "morph_names": morphs,
+        "clips": clips,
+        "notes": list(scene.notes),
+    }
+
+
+def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | None) -> None:
+    """Print what a file holds, for people or as JSON."""
+    scene = open_input(reference, unit=unit, up=up)
+    facts = describe(scene)
+    if as_json:
+        print(json.dumps(facts, indent=1, ensure_ascii=False))
+        return
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    out.print(f"[bold]{escape(reference)}[/bold]  [dim]{facts['format']}, unit {facts['unit']}, {facts['up']} up[/dim]")
+    for character in scene.characters:
+        out.print(f"  {escape(character.name or 'character')}: {_summary(character)}")
+        _print_tree(out, character.skeleton)
+    if facts["clips"]:
+        table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
+        for title, side in (("  clip", "left"), ("frames", "right"), ("rate", "right"), ("seconds", "right"), ("channels", "right")):
+            table.add_column(title, justify=side)  # pyright: ignore[reportArgumentType]
+        for animation, clip in zip(scene.animations, facts["clips"], strict=True):
+            channels = f"{len(animation.curves)} curves" if isinstance(animation, Clip) else f"{len(animation.joint_names)} joints"
+            table.add_row(
+                f"  {escape(clip['name'] or '(unnamed)')}",
+                "—" if clip["frames"] is None else f"{clip['frames']:,}",
+                "keys" if clip["rate_hz"] is None else f"{clip['rate_hz']:.6g} Hz",
+                f"{clip['duration_s']:.3f}",
+                channels,
+            )
+        out.print(table)
+    for note in scene.notes:
+        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+
+
+def _summary(character: Any) -> str:
+    pieces = [file_word(character.skeleton.joint_count, "joint")]
+    if character.parts:
+        pieces += [
+            file_word(len(character.parts), "mesh part"),
+            file_word(character.vertex_count, "vertex").replace("vertexs", "vertices"),
+            file_word(character.triangle_count, "triangle"),
+        ]
+    if character.morph_names:
+        pieces.append(file_word(len(character.morph_names), "morph"))
+    return ", ".join(pieces)
+
+
+def _print_tree(out: Any, skeleton: Any, limit: int = 16) -> None:
+    """The first levels of the hierarchy: enough to recognise a rig, short enough to read."""
+    from rich.markup import escape
+    from rich.tree import Tree
+
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(skeleton.parents.tolist()):
+        children.setdefault(parent, []).append(joint)
+    shown, level, queue = set[int](), 0, list(children.get(-1, []))
+    while queue and len(shown) + len(queue) <= limit or level == 0:
+        shown.update(queue)
+        queue = [c for j in queue for c in children.get(j, [])]
+        level += 1
+        if not queue:
+            break
+
+    def grow(tree: Tree, joint: int) -> None:
+        branch = tree.add(escape(skeleton.names[joint]))
+        hidden = 0
+        for child in children.get(joint, []):
+            if child in shown:
+                grow(branch, child)
+            else:
+                hidden += _count(children, child)
+        if hidden:
+            branch.add(f"[dim]+{hidden}[/dim]")
+
+    tree = Tree("", hide_root=True, guide_style="dim")
+    for root in children.get(-1, []):
+        if root in shown:
+            grow(tree, root)
+    from rich.padding import Padding
+
+    out.print(Padding(tree, (0, 0, 0, 2)))
+
+
+def _count(children: dict[int, list[int]], joint: int) -> int:
+    count, queue = 0, [joint]
+    while queue:
+        count += 1
+        queue.extend(children.get(queue.pop(), []))
+    return count
