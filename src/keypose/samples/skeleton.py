@@ -157,7 +157,7 @@ def skeleton() -> Skeleton:
     translations = np.array([x if not parent else place[name] - place[parent] for name, parent, x in table])
     rest = Pose(
         translations.astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (len(names), 1)),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (len(names), 1)),
         np.ones((len(names), 3), np.float32),
     )
     tips: dict[str, tuple[float, ...]] = {"Head": tuple(np.array(HEAD_TOP) - place["Head"])}
@@ -198,7 +198,7 @@ def bend_axis(name: str) -> Floats:
     """
     if name not in skeleton().names:
         raise UnknownName("joint", name, skeleton().names)
-    along, _, palm = hand_axes()
+    _, _, palm = hand_axes()
     plain = name.removeprefix("Left").removeprefix("Right")
     if plain.startswith("Hand") and plain != "Hand":
         axis = np.array([0.0, 0.0, -1.0])  # along x palm: curl towards the palm
