@@ -1,0 +1,210 @@
+"""What all rotation code needs: input checks, dot, cross, norm, and series that stay smooth at zero.
+
+Everything here is array-API generic and differentiable: where a formula divides by something that may vanish, the
+division is done on a replaced, harmless value and the designed value is selected afterwards, so that neither the
+value nor its gradient becomes NaN.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from types import ModuleType
+from typing import Any
+
+import array_api_compat
+import numpy as np
+
+from keypose.arrays import Array, checked, namespace
+from keypose.errors import ShapeError
+
+# sin(x)/x, cos(x), (cos(x) - sin(x)/x) / x² and atan(x)/x as power series of x².
+_SINC = [(-1) ** k / factorial(2 * k + 1) for k in range(7)]
+_COS = [(-1) ** k / factorial(2 * k) for k in range(8)]
+_SINC_SLOPE = [(-1) ** k * 2 * k / factorial(2 * k + 1) for k in range(1, 9)]
+_ATAN = [(-1) ** k / (2 * k + 1) for k in range(9)]
+_ATAN_GAP = [(-1) ** k / (2 * k + 3) for k in range(9)]
+_SERIES_BELOW = 0.01  # of x²: there the series are exact to float64 and the direct forms have well-behaved gradients
+
+
+def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
+    """The namespace and the named inputs as floating-point arrays, checked to end in the given axes.
+
+    Lists, numbers and integer arrays take the precision (and the device) of the floating-point arrays beside them,
+    else float64.
+
+    Raises:
+        ShapeError: where an input has the wrong trailing axes, the batch shapes do not broadcast or the arrays belong
+            to different libraries.
+    """
+    values = [value for value, _ in named.values()]
+    given = [v for v in values if hasattr(v, "shape")]
+    if not given:
+        values = [np.asarray(v, np.float64) for v in values]
+        given = values
+    try:
+        xp = namespace(*given)
+    except TypeError:
+        libraries = sorted({type(v).__module__.partition(".")[0] for v in given})
+        raise ShapeError(f"{', '.join(named)}: expected arrays of one library, got {' and '.join(libraries)}") from None
+    if any(not _is_float(xp, v) for v in values):
+        floats = [v for v in given if _is_float(xp, v)]
+        dtype = xp.result_type(*floats) if floats else xp.float64
+        device = array_api_compat.device(given[0])
+        values = [v if _is_float(xp, v) else xp.asarray(v, dtype=dtype, device=device) for v in values]
+    for value, (name, (_, tail)) in zip(values, named.items(), strict=True):
+        if tuple(value.shape[value.ndim - len(tail) :]) != tail or value.ndim < len(tail):
+            checked(value, (..., *tail), name)
+    if len(values) > 1:
+        batches = [tuple(v.shape[: v.ndim - len(tail)]) for v, (_, tail) in zip(values, named.values(), strict=True)]
+        try:
+            np.broadcast_shapes(*batches)
+        except ValueError:
+            shown = ", ".join(f"{name} {batch}" for name, batch in zip(named, batches, strict=True))
+            raise ShapeError(f"batch shapes do not broadcast: {shown}") from None
+    return (xp, *values)
+
+
+def _is_float(xp: ModuleType, value: Any) -> bool:
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.dtype == np.float32 or value.dtype == np.float64
+    return hasattr(value, "dtype") and xp.isdtype(value.dtype, "real floating")
+
+
+def like(xp: ModuleType, value: Array, reference: Array) -> Array:
+    """A parameter (u, a weight, a time) in the precision of the values it acts on."""
+    return value if value.dtype == reference.dtype else xp.astype(value, reference.dtype)
+
+
+def beside(xp: ModuleType, values: Any, reference: Array) -> Array:
+    """Numbers as an array of the reference's library, precision and device."""
+    return xp.asarray(values, dtype=reference.dtype, device=array_api_compat.device(reference))
+
+
+def parts(array: Array) -> tuple[Array, ...]:
+    """The components along the last axis."""
+    return tuple(array[..., i] for i in range(array.shape[-1]))
+
+
+def join(xp: ModuleType, *components: Array) -> Array:
+    """Components, of broadcastable shapes, stacked along a new last axis."""
+    if all(isinstance(c, (np.ndarray, np.generic)) for c in components):
+        shape = np.broadcast_shapes(*(c.shape for c in components))
+        out = np.empty((*shape, len(components)), components[0].dtype)
+        for i, component in enumerate(components):
+            out[..., i] = component
+        return out
+    if len({tuple(c.shape) for c in components}) > 1:
+        components = tuple(xp.broadcast_arrays(*components))
+    return xp.stack(components, axis=-1)
+
+
+def dot(xp: ModuleType, a: Array, b: Array) -> Array:
+    """Dot product along the last axis."""
+    return xp.vecdot(a, b)
+
+
+def cross(xp: ModuleType, a: Array, b: Array) -> Array:
+    """Cross product of vectors (*B, 3)."""
+    ax, ay, az = parts(a)
+    bx, by, bz = parts(b)
+    return join(xp, ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+def eps(xp: ModuleType, array: Array) -> float:
+    """The distance from 1 to the next number of this precision."""
+    return float(xp.finfo(array.dtype).eps)
+
+
+def vanishes(xp: ModuleType, squared: Array) -> Array:
+    """Where a squared norm is zero or too small to be divided by."""
+    return squared < float(xp.finfo(squared.dtype).smallest_normal)
+
+
+def root(xp: ModuleType, squared: Array) -> Array:
+    """Square root whose gradient at 0 is 0 (not infinite)."""
+    zero = vanishes(xp, squared)
+    return xp.where(zero, 0.0 * squared, xp.sqrt(xp.where(zero, 1.0, squared)))
+
+
+def norm(xp: ModuleType, v: Array) -> Array:
+    """Length along the last axis; its gradient at the zero vector is 0."""
+    return root(xp, dot(xp, v, v))
+
+
+def unit(xp: ModuleType, v: Array) -> Array:
+    """The direction of a vector; the zero vector stays zero."""
+    squared = dot(xp, v, v)
+    zero = vanishes(xp, squared)
+    return xp.where(zero, 0.0, 1.0 / xp.sqrt(xp.where(zero, 1.0, squared)))[..., None] * v
+
+
+def perpendiculars(xp: ModuleType, v: Array) -> tuple[Array, Array]:
+    """Two unit vectors b1, b2 that make (b1, b2, v) a right-handed frame, for unit v (*B, 3).
+
+    For v = Z they are X and Y. Source: Duff et al., Building an Orthonormal Basis, Revisited (JCGT 2017).
+    """
+    x, y, z = parts(v)
+    sign = xp.where(z < 0, -xp.ones_like(z), xp.ones_like(z))
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return join(xp, 1.0 + sign * x * x * a, sign * b, -sign * x), join(xp, b, sign + y * y * a, -y)
+
+
+def _series(coefficients: list[float], t: Array) -> Array:
+    total = coefficients[-1] + 0.0 * t
+    for c in reversed(coefficients[:-1]):
+        total = c + t * total
+    return total
+
+
+def cos_sinc(xp: ModuleType, squared: Array) -> tuple[Array, Array]:
+    """cos(x) and sin(x)/x of x = sqrt(squared), smooth at 0."""
+    small = squared < _SERIES_BELOW
+    x = xp.sqrt(xp.where(small, 1.0, squared))
+    t = xp.where(small, squared, 0.0)
+    return xp.where(small, _series(_COS, t), xp.cos(x)), xp.where(small, _series(_SINC, t), xp.sin(x) / x)
+
+
+def sinc(xp: ModuleType, squared: Array) -> Array:
+    """sin(x)/x of x = sqrt(squared), smooth at 0."""
+    small = squared < _SERIES_BELOW
+    x = xp.sqrt(xp.where(small, 1.0, squared))
+    return xp.where(small, _series(_SINC, xp.where(small, squared, 0.0)), xp.sin(x) / x)
+
+
+def sinc_slope(xp: ModuleType, squared: Array) -> Array:
+    """(cos(x) - sin(x)/x) / x² of x = sqrt(squared), which is the slope of sin(x)/x divided by x; -1/3 at 0."""
+    small = squared < 16 * _SERIES_BELOW
+    safe = xp.where(small, 1.0, squared)
+    x = xp.sqrt(safe)
+    return xp.where(small, _series(_SINC_SLOPE, xp.where(small, squared, 0.0)), (xp.cos(x) - xp.sin(x) / x) / safe)
+
+
+def angle_ratio(xp: ModuleType, squared: Array, w: Array) -> Array:
+    """atan2(n, w) / n of n = sqrt(squared) >= 0, smooth at n = 0 for w > 0; where n = 0 and w <= 0 it is finite."""
+    small = (w > 0) & (squared < _SERIES_BELOW * w * w)
+    w_safe = xp.where(small, w, 1.0)
+    t = xp.where(small, squared, 0.0) / (w_safe * w_safe)
+    n = xp.sqrt(xp.where(small | vanishes(xp, squared), 1.0, squared))
+    return xp.where(small, _series(_ATAN, t) / w_safe, xp.atan2(n, w) / n)
+
+
+def angle_ratio_gap(xp: ModuleType, squared: Array, w: Array) -> Array:
+    """(1 - w atan2(n, w) / n) / n² of n = sqrt(squared), for w > 0 or n > 0; 1 / (3 w²) at n = 0."""
+    small = (w > 0) & (squared < _SERIES_BELOW * w * w)
+    w_safe = xp.where(small, w, 1.0)
+    t = xp.where(small, squared, 0.0) / (w_safe * w_safe)
+    safe = xp.where(small | vanishes(xp, squared), 1.0, squared)
+    n = xp.sqrt(safe)
+    return xp.where(small, _series(_ATAN_GAP, t) / (w_safe * w_safe), (1.0 - w * xp.atan2(n, w) / n) / safe)
+
+
+def constant(array: Array) -> Array:
+    """The same values, with no gradient flowing through them."""
+    if hasattr(array, "detach"):
+        return array.detach()
+    if array_api_compat.is_jax_array(array):
+        import jax  # pyright: ignore[reportMissingImports]
+
+        return jax.lax.stop_gradient(array)
+    return array
