@@ -35,6 +35,31 @@ def as_float(array: Any) -> Array:
     return array if xp.isdtype(array.dtype, "real floating") else xp.astype(array, xp.float64)
 
 
+def unified(*arrays: Any) -> tuple[Array, ...]:
+    """The arrays in one library: NumPy constants follow the PyTorch or JAX arrays that they meet.
+
+    NumPy arrays alone are returned as they are. Beside an array of another library all become floating-point arrays of
+    that library, of one precision (the widest) and on its device, because not every library promotes by itself.
+    """
+    arrays = tuple(a if hasattr(a, "shape") and not isinstance(a, np.generic) else np.asarray(a) for a in arrays)
+    foreign = [a for a in arrays if not isinstance(a, np.ndarray)]
+    if not foreign:
+        return tuple(as_float(a) for a in arrays)
+    xp, device = namespace(*foreign), array_api_compat.device(foreign[0])
+    # Frozen arrays are copied: PyTorch shares memory and cannot share what is read-only.
+    moved = [as_float(xp.asarray(a.copy(), device=device) if isinstance(a, np.ndarray) else a) for a in arrays]
+    dtype = xp.result_type(*(a.dtype for a in moved))
+    return tuple(a if a.dtype == dtype else xp.astype(a, dtype) for a in moved)
+
+
+def gather(array: Array, index: Ints, axis: int) -> Array:
+    """Entries of an array of any library along one axis, at a NumPy index (N,)."""
+    if isinstance(array, np.ndarray):
+        return np.take(array, index, axis=axis)
+    xp = namespace(array)
+    return xp.take(array, xp.asarray(np.array(index, np.int64), device=array_api_compat.device(array)), axis=axis)
+
+
 def frozen(array: Any, dtype: Any = None) -> Array:
     """A read-only, contiguous copy of a NumPy array (or list); other libraries' arrays are returned as they are.
 

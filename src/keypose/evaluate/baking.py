@@ -1,0 +1,199 @@
+"""The bridge between `Clip` (sparse curves) and `Motion` (uniform samples), and changes of rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from keypose.arrays import Array
+from keypose.errors import ShapeError
+from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
+from keypose.math import quat
+from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Pose, Property, Skeleton
+
+# Files store key times in float32 or in a few decimals: what is nearer to a whole frame than this is that frame.
+_FRAME_ROUNDING = 0.01
+
+
+def bake(
+    clip: Clip,
+    skeleton: Skeleton,
+    rate_hz: float,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    morph_names: Sequence[str] = (),
+    rest_morph_weights: Array | None = None,
+) -> Motion:
+    """A clip sampled at a uniform rate, for the joints of a skeleton and the morphs asked for.
+
+    Frame 0 is at ``start_s`` (the clip's first key if not given); the last frame is the last one not after ``end_s``
+    (the clip's last key). A frame whose time is a key's but for rounding (1 % of a frame at most) takes the key itself,
+    so that keys written at a rate come back bit for bit when they are baked at that rate.
+
+    Raises:
+        ShapeError: where the rate is not positive or the end comes before the start.
+    """
+    start = clip.start_s if start_s is None else float(start_s)
+    end = clip.end_s if end_s is None else float(end_s)
+    count = _frame_count(start, end, rate_hz)
+    times = start + np.arange(count) / rate_hz
+    sampled = np.clip(_at_keys(clip, times, rate_hz), start, max(start, end))
+    weights = sample_morphs(clip, morph_names, sampled, rest_morph_weights) if morph_names else None
+    return Motion(
+        skeleton.names,
+        sample_clip(clip, skeleton, sampled),
+        rate_hz,
+        name=clip.name,
+        start_s=start,
+        morph_names=tuple(morph_names),
+        morph_weights=weights,
+    )
+
+
+def to_clip(
+    motion: Motion, interpolation: Interpolation = Interpolation.LINEAR, *, reduce_constant: bool = False
+) -> Clip:
+    """A motion as a clip with one key per frame on every joint's translation, rotation and scale and on every morph.
+
+    HERMITE tangents are central differences (one-sided at the ends); rotations are then put on one side of the sphere.
+    With ``reduce_constant`` a channel that never changes gets one key.
+    """
+    times = motion.times_s
+    times.setflags(write=False)
+    pose = motion.pose.broadcast()
+    curves: dict[Channel, Curve] = {}
+
+    def put(target: str, property: Property, values: Array, kind: CurveKind) -> None:
+        if reduce_constant and bool((values == values[:1]).all()):
+            curves[Channel(target, property)] = Curve(times[:1], values[:1], Interpolation.STEP, kind=kind)
+            return
+        tangents = None
+        if interpolation is Interpolation.HERMITE:
+            values = quat.align_signs(values, axis=0) if kind is CurveKind.ROTATION else values
+            tangents = _tangents(values, motion.rate_hz)
+        curves[Channel(target, property)] = Curve(times, values, interpolation, tangents, tangents, kind)
+
+    if motion.frame_count == 0:
+        return Clip({}, motion.name, motion.rate_hz)
+    for j, name in enumerate(motion.joint_names):
+        put(name, Property.TRANSLATION, pose.translations[:, j, :], CurveKind.VECTOR)
+        put(name, Property.ROTATION, pose.rotations[:, j, :], CurveKind.ROTATION)
+        put(name, Property.SCALE, pose.scales[:, j, :], CurveKind.VECTOR)
+    for m, name in enumerate(motion.morph_names):
+        put(name, Property.WEIGHT, _weights(motion)[:, m : m + 1], CurveKind.SCALAR)
+    return Clip(curves, motion.name, motion.rate_hz)
+
+
+def resample(motion: Motion, rate_hz: float) -> Motion:
+    """The same motion at another rate: slerp of rotations, lerp of translations, scales and morph weights.
+
+    Frame 0 keeps its time; the last frame is the last one not after the old end. Events keep their times.
+
+    Raises:
+        ShapeError: where the rate is not positive.
+    """
+    count = _frame_count(0.0, motion.duration_s, rate_hz)
+    times = motion.start_s + np.arange(count) / rate_hz
+    # Where old and new frames coincide take the frame itself.
+    position = (times - motion.start_s) * motion.rate_hz
+    nearest = np.rint(position)
+    close = np.abs(position - nearest) <= _FRAME_ROUNDING * 1e-3
+    times = np.where(close, motion.start_s + nearest / motion.rate_hz, times)
+    weights = None if motion.morph_weights is None else sample_morphs(motion, motion.morph_names, times)
+    return replace(motion, pose=sample_motion(motion, times), rate_hz=rate_hz, morph_weights=weights)
+
+
+def reduce_keys(clip: Clip, tolerance: float = 1e-4) -> Clip:
+    """A clip with fewer keys that stays within ``tolerance`` of the old one at every old key.
+
+    Keys are left out of spans that are LINEAR throughout; other curves stay as they are. ``tolerance`` is in the units of
+    the values (metres, ratios, weights); for rotations it is the largest angle in radians.
+
+    Source: Ramer 1972 and Douglas & Peucker 1973, with the distance measured at equal times.
+    """
+    return replace(clip, curves={c: _reduced(curve, tolerance) for c, curve in clip.curves.items()})
+
+
+def _weights(motion: Motion) -> Array:
+    if motion.morph_weights is None:
+        raise ShapeError("motion: it has morph names but no weights")
+    return motion.morph_weights
+
+
+def _frame_count(start: float, end: float, rate_hz: float) -> int:
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise ShapeError(f"rate_hz: expected a positive number, got {rate_hz}")
+    if not (np.isfinite(start) and np.isfinite(end) and end >= start):
+        raise ShapeError(f"end_s: expected a time not before the start at {start} s, got {end} s")
+    return int(np.floor((end - start) * rate_hz + _FRAME_ROUNDING)) + 1
+
+
+def _at_keys(clip: Clip, times: Array, rate_hz: float) -> Array:
+    """Frame times, moved onto the key they mean."""
+    tables = {curve.times_s.tobytes(): curve.times_s for curve in clip.curves.values()}
+    if not tables:
+        return times
+    keys = np.unique(np.concatenate(list(tables.values())))
+    right = np.clip(np.searchsorted(keys, times), 0, len(keys) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(np.abs(keys[left] - times) < np.abs(keys[right] - times), keys[left], keys[right])
+    return np.where(np.abs(nearest - times) * rate_hz <= _FRAME_ROUNDING, nearest, times)
+
+
+def _tangents(values: Array, rate_hz: float) -> Array:
+    """Central differences in units per second, (T, C)."""
+    if len(values) < 2:
+        return np.zeros_like(values)
+    steps = (values[1:] - values[:-1]) * rate_hz
+    return np.concatenate([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]]).astype(values.dtype)
+
+
+def _reduced(curve: Curve, tolerance: float) -> Curve:
+    count = curve.key_count
+    if count < 3 or not np.all(curve.modes[:-1] == Interpolation.LINEAR):
+        return curve
+    is_rotation = curve.kind is CurveKind.ROTATION
+    times, values = curve.times_s, np.asarray(curve.values, np.float64)
+    kept = np.zeros(count, bool)
+    kept[[0, -1]] = True
+    open_spans = [(0, count - 1)]
+    while open_spans:
+        a, b = open_spans.pop()
+        if b - a < 2:
+            continue
+        share = (times[a + 1 : b] - times[a]) / (times[b] - times[a])
+        old = values[a + 1 : b]
+        if is_rotation:
+            new = quat.slerp(values[a], values[b], share)
+            error = quat.angle_between(new, old)
+        else:
+            new = values[a] + share[:, None] * (values[b] - values[a])
+            error = np.linalg.norm(new - old, axis=-1)
+        worst = int(np.argmax(error))
+        if error[worst] > tolerance:
+            middle = a + 1 + worst
+            kept[middle] = True
+            open_spans += [(a, middle), (middle, b)]
+    if kept.sum() == 2 and np.array_equal(values[0], values[-1]) and curve.before is curve.after:
+        kept[-1] = False
+
+    def rows(array: Any) -> Any:
+        return None if array is None else array[kept]
+
+    return replace(
+        curve,
+        times_s=times[kept],
+        values=curve.values[kept],
+        modes=curve.modes[kept],
+        in_tangents=rows(curve.in_tangents),
+        out_tangents=rows(curve.out_tangents),
+    )
+
+
+def constant_pose(pose: Pose, frame_count: int, names: Sequence[str], rate_hz: float) -> Motion:
+    """A motion that holds one pose (batch shape ()) for a number of frames."""
+    arrays = (np.broadcast_to(a, (frame_count, *a.shape)) for a in (pose.translations, pose.rotations, pose.scales))
+    return Motion(tuple(names), Pose(*arrays), rate_hz)
