@@ -1,6 +1,6 @@
 """Curves at times, poses of skeletons, forward kinematics, blending, and the bridge between clips and motions."""
 
-from keypose.evaluate.baking import bake, reduce_keys, resample, to_clip
+from keypose.evaluate.baking import bake, reduce_keys, resample, snap_to_keys, to_clip
 from keypose.evaluate.blending import add, blend, difference
 from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
@@ -22,6 +22,7 @@ __all__ = [
     "sample_curve",
     "sample_morphs",
     "sample_motion",
+    "snap_to_keys",
     "to_clip",
     "unmatched",
     "world",

@@ -12,7 +12,7 @@ from keypose.arrays import Array
 from keypose.errors import ShapeError
 from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
 from keypose.math import quat
-from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Pose, Property, Skeleton
+from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
 
 # Files store key times in float32 or in a few decimals: what is nearer to a whole frame than this is that frame.
 _FRAME_ROUNDING = 0.01
@@ -40,7 +40,7 @@ def bake(
     end = clip.end_s if end_s is None else float(end_s)
     count = _frame_count(start, end, rate_hz)
     times = start + np.arange(count) / rate_hz
-    sampled = np.clip(_at_keys(clip, times, rate_hz), start, max(start, end))
+    sampled = np.clip(snap_to_keys(clip, times, _FRAME_ROUNDING / rate_hz), start, max(start, end))
     weights = sample_morphs(clip, morph_names, sampled, rest_morph_weights) if morph_names else None
     return Motion(
         skeleton.names,
@@ -117,6 +117,22 @@ def reduce_keys(clip: Clip, tolerance: float = 1e-4) -> Clip:
     return replace(clip, curves={c: _reduced(curve, tolerance) for c, curve in clip.curves.items()})
 
 
+def snap_to_keys(clip: Clip, times_s: Array, tolerance_s: Array | float) -> Array:
+    """Times (T,), each moved onto the clip's nearest key where one is within ``tolerance_s``.
+
+    Files store key times in float32 or in a few decimals; sampling beside the key would lose its exact value.
+    """
+    times = np.asarray(times_s, np.float64)
+    tables = {curve.times_s.tobytes(): curve.times_s for curve in clip.curves.values()}
+    if not tables:
+        return times
+    keys = np.unique(np.concatenate(list(tables.values())))
+    right = np.clip(np.searchsorted(keys, times), 0, len(keys) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(np.abs(keys[left] - times) < np.abs(keys[right] - times), keys[left], keys[right])
+    return np.where(np.abs(nearest - times) <= tolerance_s, nearest, times)
+
+
 def _weights(motion: Motion) -> Array:
     if motion.morph_weights is None:
         raise ShapeError("motion: it has morph names but no weights")
@@ -129,18 +145,6 @@ def _frame_count(start: float, end: float, rate_hz: float) -> int:
     if not (np.isfinite(start) and np.isfinite(end) and end >= start):
         raise ShapeError(f"end_s: expected a time not before the start at {start} s, got {end} s")
     return int(np.floor((end - start) * rate_hz + _FRAME_ROUNDING)) + 1
-
-
-def _at_keys(clip: Clip, times: Array, rate_hz: float) -> Array:
-    """Frame times, moved onto the key they mean."""
-    tables = {curve.times_s.tobytes(): curve.times_s for curve in clip.curves.values()}
-    if not tables:
-        return times
-    keys = np.unique(np.concatenate(list(tables.values())))
-    right = np.clip(np.searchsorted(keys, times), 0, len(keys) - 1)
-    left = np.maximum(right - 1, 0)
-    nearest = np.where(np.abs(keys[left] - times) < np.abs(keys[right] - times), keys[left], keys[right])
-    return np.where(np.abs(nearest - times) * rate_hz <= _FRAME_ROUNDING, nearest, times)
 
 
 def _tangents(values: Array, rate_hz: float) -> Array:
@@ -191,9 +195,3 @@ def _reduced(curve: Curve, tolerance: float) -> Curve:
         in_tangents=rows(curve.in_tangents),
         out_tangents=rows(curve.out_tangents),
     )
-
-
-def constant_pose(pose: Pose, frame_count: int, names: Sequence[str], rate_hz: float) -> Motion:
-    """A motion that holds one pose (batch shape ()) for a number of frames."""
-    arrays = (np.broadcast_to(a, (frame_count, *a.shape)) for a in (pose.translations, pose.rotations, pose.scales))
-    return Motion(tuple(names), Pose(*arrays), rate_hz)
