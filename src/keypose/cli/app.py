@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -22,7 +22,8 @@ Inputs = Annotated[list[str], typer.Argument(metavar="FILE...", help="Files, or 
 OneInput = Annotated[str, typer.Argument(metavar="FILE", help="A file, or sample:NAME.", show_default=False)]
 ClipOption = Annotated[str | None, typer.Option("--clip", help="Name of the animation; the first one if not given.")]
 UnitOption = Annotated[
-    str | None, typer.Option("--unit", help="Unit of a file that does not say: m, cm, mm, inch, foot, or metres as a number.")
+    str | None,
+    typer.Option("--unit", help="Unit of a file that does not say: m, cm, mm, inch, foot, or metres as a number."),
 ]
 UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of a file that does not say: X, Y or Z.")]
 Host = Annotated[str, typer.Option(help="Address to listen on; only this machine can reach the default.")]
@@ -81,7 +82,9 @@ app.command(name="play", epilog=_STUDIO_EXAMPLES, help="Play files in the browse
 
 
 @app.command(
-    epilog=_examples("keypose info walk.bvh", "keypose info character.glb --json | jq .clips", "keypose info sample:human")
+    epilog=_examples(
+        "keypose info walk.bvh", "keypose info character.glb --json | jq .clips", "keypose info sample:human"
+    )
 )
 def info(
     file: OneInput,
@@ -110,7 +113,9 @@ def convert(
     rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
     unit: UnitOption = None,
     up: UpOption = None,
-    out_unit: Annotated[str | None, typer.Option("--out-unit", help="Unit to write (BVH; else as it was read).")] = None,
+    out_unit: Annotated[
+        str | None, typer.Option("--out-unit", help="Unit to write (BVH; else as it was read).")
+    ] = None,
     order: Annotated[str | None, typer.Option("--order", help="Rotation order to write (BVH), such as ZXY.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -120,18 +125,26 @@ def convert(
     if len(files) < 2:
         raise typer.BadParameter("expected at least one input and the output", param_hint="IN... OUT")
     convert_files(
-        files[:-1], Path(files[-1]), clip=clip, rate_hz=rate, unit=unit, up=up, out_unit=out_unit, order=order, quiet=quiet
+        files[:-1],
+        Path(files[-1]),
+        clip=clip,
+        rate_hz=rate,
+        unit=unit,
+        up=up,
+        out_unit=out_unit,
+        order=order,
+        quiet=quiet,
     )
 
 
-class Theme(str, Enum):
+class Theme(StrEnum):
     """The look of the picture."""
 
     light = "light"
     dark = "dark"
 
 
-class Backend(str, Enum):
+class Backend(StrEnum):
     """What draws."""
 
     auto = "auto"
@@ -139,7 +152,7 @@ class Backend(str, Enum):
     cpu = "cpu"
 
 
-class View(str, Enum):
+class View(StrEnum):
     """Where the camera stands."""
 
     front = "front"
@@ -161,7 +174,9 @@ class View(str, Enum):
 def render(
     files: Annotated[
         list[str],
-        typer.Argument(metavar="IN... OUT", help="Files to draw, then the .png, .gif, .mp4 or .webm.", show_default=False),
+        typer.Argument(
+            metavar="IN... OUT", help="Files to draw, then the .png, .gif, .mp4 or .webm.", show_default=False
+        ),
     ],
     clip: ClipOption = None,
     size: Annotated[str, typer.Option("--size", help="Width x height in pixels.")] = "1280x720",

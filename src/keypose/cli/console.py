@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -18,7 +18,7 @@ def console() -> Console:
 
 
 @contextmanager
-def progress_bar(label: str, *, quiet: bool = False, after_s: float = 0.4) -> Iterator[Progress]:
+def progress_bar(label: str, *, quiet: bool = False, after_s: float = 0.4) -> Generator[Progress]:
     """A function ``(done, total)`` that draws a bar on a terminal once the work has taken a moment."""
     if quiet or not sys.stderr.isatty():
         yield lambda done, total: None

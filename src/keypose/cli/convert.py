@@ -72,7 +72,9 @@ def combine(names: list[str], scenes: list[Scene]) -> Scene:
                     path=names[i],
                 )
             if share < 1:
-                notes.append(f"{names[i]}: {share:.0%} of the animated joints exist in {names[base]}; the others are left out")
+                notes.append(
+                    f"{names[i]}: {share:.0%} of the animated joints exist in {names[base]}; the others are left out"
+                )
             animations.append(bound)
         notes.extend(scene.notes)
     if base != 0:

@@ -64,10 +64,20 @@ def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | Non
         _print_tree(out, character.skeleton)
     if facts["clips"]:
         table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), header_style="dim")
-        for title, side in (("  clip", "left"), ("frames", "right"), ("rate", "right"), ("seconds", "right"), ("channels", "right")):
+        for title, side in (
+            ("  clip", "left"),
+            ("frames", "right"),
+            ("rate", "right"),
+            ("seconds", "right"),
+            ("channels", "right"),
+        ):
             table.add_column(title, justify=side)  # pyright: ignore[reportArgumentType]
         for animation, clip in zip(scene.animations, facts["clips"], strict=True):
-            channels = f"{len(animation.curves)} curves" if isinstance(animation, Clip) else f"{len(animation.joint_names)} joints"
+            channels = (
+                f"{len(animation.curves)} curves"
+                if isinstance(animation, Clip)
+                else f"{len(animation.joint_names)} joints"
+            )
             table.add_row(
                 f"  {escape(clip['name'] or '(unnamed)')}",
                 "—" if clip["frames"] is None else f"{clip['frames']:,}",
@@ -102,7 +112,7 @@ def _print_tree(out: Any, skeleton: Any, limit: int = 16) -> None:
     for joint, parent in enumerate(skeleton.parents.tolist()):
         children.setdefault(parent, []).append(joint)
     shown, level, queue = set[int](), 0, list(children.get(-1, []))
-    while queue and len(shown) + len(queue) <= limit or level == 0:
+    while (queue and len(shown) + len(queue) <= limit) or level == 0:
         shown.update(queue)
         queue = [c for j in queue for c in children.get(j, [])]
         level += 1
