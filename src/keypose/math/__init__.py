@@ -1,5 +1,5 @@
 """Pure functions of arrays: quaternions, Euler angles, dual quaternions, rigid transforms, splines."""
 
-from keypose.math import quat, rigid
+from keypose.math import dualquat, euler, quat, rigid, spline
 
-__all__ = ["quat", "rigid"]
+__all__ = ["dualquat", "euler", "quat", "rigid", "spline"]

@@ -70,7 +70,7 @@ def _is_float(xp: ModuleType, value: Any) -> bool:
     return hasattr(value, "dtype") and xp.isdtype(value.dtype, "real floating")
 
 
-def like(xp: ModuleType, value: Array, reference: Array) -> Array:
+def matched(xp: ModuleType, value: Array, reference: Array) -> Array:
     """A parameter (u, a weight, a time) in the precision of the values it acts on."""
     return value if value.dtype == reference.dtype else xp.astype(value, reference.dtype)
 
@@ -96,6 +96,17 @@ def join(xp: ModuleType, *components: Array) -> Array:
     if len({tuple(c.shape) for c in components}) > 1:
         components = tuple(xp.broadcast_arrays(*components))
     return xp.stack(components, axis=-1)
+
+
+def sign(xp: ModuleType, x: Array) -> Array:
+    """-1 where x is negative, else 1 (also for zeros of both signs)."""
+    one = xp.ones_like(x)
+    return xp.where(x < 0, -one, one)
+
+
+def scaled(xp: ModuleType, factor: Array, v: Array) -> Array:
+    """Vectors (*B, N) times numbers (*B); component by component, which NumPy does several times faster."""
+    return join(xp, *(factor * c for c in parts(v)))
 
 
 def dot(xp: ModuleType, a: Array, b: Array) -> Array:
@@ -135,7 +146,7 @@ def unit(xp: ModuleType, v: Array) -> Array:
     """The direction of a vector; the zero vector stays zero."""
     squared = dot(xp, v, v)
     zero = vanishes(xp, squared)
-    return xp.where(zero, 0.0, 1.0 / xp.sqrt(xp.where(zero, 1.0, squared)))[..., None] * v
+    return scaled(xp, xp.where(zero, 0.0, 1.0 / xp.sqrt(xp.where(zero, 1.0, squared))), v)
 
 
 def perpendiculars(xp: ModuleType, v: Array) -> tuple[Array, Array]:
@@ -144,10 +155,10 @@ def perpendiculars(xp: ModuleType, v: Array) -> tuple[Array, Array]:
     For v = Z they are X and Y. Source: Duff et al., Building an Orthonormal Basis, Revisited (JCGT 2017).
     """
     x, y, z = parts(v)
-    sign = xp.where(z < 0, -xp.ones_like(z), xp.ones_like(z))
-    a = -1.0 / (sign + z)
+    s = sign(xp, z)
+    a = -1.0 / (s + z)
     b = x * y * a
-    return join(xp, 1.0 + sign * x * x * a, sign * b, -sign * x), join(xp, b, sign + y * y * a, -y)
+    return join(xp, 1.0 + s * x * x * a, s * b, -s * x), join(xp, b, s + y * y * a, -y)
 
 
 def _series(coefficients: list[float], t: Array) -> Array:

@@ -27,10 +27,12 @@ from keypose.math.elementary import (
     dot,
     eps,
     join,
-    like,
+    matched,
     norm,
     parts,
     perpendiculars,
+    scaled,
+    sign,
     sinc,
     take,
     unit,
@@ -43,11 +45,11 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 # --- algebra ---------------------------------------------------------------------------------------------------------
 
 
-def identity(batch_shape: tuple[int, ...] = (), *, beside_array: Array | None = None) -> Array:
-    """No rotation, (*batch_shape, 4); float64 NumPy, or of the library and precision of ``beside_array``."""
-    if beside_array is None:
+def identity(batch_shape: tuple[int, ...] = (), *, like: Array | None = None) -> Array:
+    """No rotation, (*batch_shape, 4); float64 NumPy, or of the library and precision of ``like``."""
+    if like is None:
         return np.broadcast_to(np.asarray(_IDENTITY), (*batch_shape, 4)).copy()
-    xp, array = take(beside_array=(beside_array, ()))
+    xp, array = take(like=(like, ()))
     return xp.broadcast_to(beside(xp, _IDENTITY, array), (*batch_shape, 4))
 
 
@@ -168,7 +170,7 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
     need no case for equal rotations.
     """
     xp, a, b, u = take(a=(a, (4,)), b=(b, (4,)), u=(u, ()))
-    u = like(xp, u, a)
+    u = matched(xp, u, a)
     b = _align(xp, a, b)
     arc_squared = _half_angle_squared(xp, a, b)
     v = 1.0 - u
@@ -181,15 +183,15 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
 def nlerp(a: Array, b: Array, u: Array) -> Array:
     """From a to b along the chord, the short way, normalised: the path of slerp at uneven speed, (*B, 4); u (*B)."""
     xp, a, b, u = take(a=(a, (4,)), b=(b, (4,)), u=(u, ()))
-    u = like(xp, u, a)
-    v, u = 1.0 - u, u * _sign(xp, dot(xp, a, b))
+    u = matched(xp, u, a)
+    v, u = 1.0 - u, u * sign(xp, dot(xp, a, b))
     return _normalize(xp, join(xp, *(v * p + u * q for p, q in zip(parts(a), parts(b), strict=True))))
 
 
 def power(q: Array, exponent: Array) -> Array:
     """The rotation with its angle scaled by ``exponent`` (*B), taken the short way, (*B, 4); "scaling" a rotation."""
     xp, q, exponent = take(q=(q, (4,)), exponent=(exponent, ()))
-    return _exp(xp, _scaled(xp, like(xp, exponent, q), _log(xp, _shortest(xp, q))))
+    return _exp(xp, scaled(xp, matched(xp, exponent, q), _log(xp, _shortest(xp, q))))
 
 
 def difference(a: Array, b: Array) -> Array:
@@ -221,7 +223,7 @@ def average(q: Array, weights: Array | None = None) -> Array:
         xp, q, w = take(q=(q, (4,)), weights=(weights, ()))
         if w.ndim == 0 or w.shape[-1] != q.shape[-2]:
             raise ShapeError(f"weights: expected (*B, {q.shape[-2]}) to match q, got {tuple(w.shape)}")
-        weighted = _scaled(xp, like(xp, w, q), q)
+        weighted = scaled(xp, matched(xp, w, q), q)
     spread = xp.matmul(xp.matrix_transpose(weighted), xp.broadcast_to(q, weighted.shape))  # (*B, 4, 4)
     total = spread[..., 0, 0] + spread[..., 1, 1] + spread[..., 2, 2] + spread[..., 3, 3]
     prefer_identity = beside(xp, [_IDENTITY, *([(0.0,) * 4] * 3)], q)
@@ -404,22 +406,12 @@ def _normalize(xp: Any, q: Array) -> Array:
 
 
 def _shortest(xp: Any, q: Array) -> Array:
-    return _scaled(xp, _sign(xp, q[..., 0]), q)
-
-
-def _sign(xp: Any, x: Array) -> Array:
-    """-1 where x is negative, else 1 (also for zeros of both signs)."""
-    one = xp.ones_like(x)
-    return xp.where(x < 0, -one, one)
-
-
-def _scaled(xp: Any, factor: Array, q: Array) -> Array:
-    return join(xp, *(factor * c for c in parts(q)))
+    return scaled(xp, sign(xp, q[..., 0]), q)
 
 
 def _align(xp: Any, a: Array, b: Array) -> Array:
     """B's sign on the short side of a: q and -q are one rotation."""
-    return _scaled(xp, _sign(xp, dot(xp, a, b)), b)
+    return scaled(xp, sign(xp, dot(xp, a, b)), b)
 
 
 def _half_angle_squared(xp: Any, a: Array, b: Array) -> Array:
