@@ -1,0 +1,208 @@
+"""Accessors to arrays: every count is checked against the bytes that are really there before memory is taken.
+
+Source: glTF 2.0 Specification, sections 3.6.1 (buffers and views) and 3.6.2 (accessors).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from keypose.errors import FormatError, MissingExtra
+from keypose.io.gltf import compression
+from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
+from keypose.io.gltf.document import WIDTHS, Accessor, BufferView, Document
+
+# How much may be decoded from one file: views may overlap and accessors may have no bytes at all, so that a small
+# file can ask for any amount of memory.
+BUDGET_BASE = 128 << 20
+BUDGET_PER_BYTE = 8
+
+
+class Arrays:
+    """The arrays of a document's accessors, each decoded once and read-only."""
+
+    def __init__(self, document: Document, container: Container, notes: Notes) -> None:
+        self._document, self._container, self._notes = document, container, notes
+        self._buffers: dict[int, memoryview] = {}
+        self._views: dict[int, memoryview] = {}
+        self._arrays: dict[int, NDArray[Any]] = {}
+        self._floats: dict[int, NDArray[np.float32]] = {}
+        self._taken = 0
+        self._present = len(container.json) + (0 if container.chunk is None else len(container.chunk))
+
+    def take(self, size: int, where: str) -> None:
+        """Count memory that is about to be taken; raises `FormatError` where the file asks for far too much."""
+        self._taken += size
+        if self._taken > BUDGET_BASE + BUDGET_PER_BYTE * self._present:
+            raise FormatError(
+                f"the file asks for {self._taken >> 20} MiB of data but holds only {self._present} bytes", where=where
+            )
+
+    def buffer(self, index: int) -> memoryview:
+        """All bytes of a buffer."""
+        if index not in self._buffers:
+            item = self._document.buffers[index]
+            if item.uri is None:
+                chunk = self._container.chunk
+                if index != 0 or chunk is None:
+                    raise FormatError("the buffer has no URI and the file has no binary chunk for it", where=item.where)
+                data: Any = chunk
+            elif is_data_uri(item.uri):
+                data = decode_data_uri(item.uri, item.where)[1]
+            else:
+                data = read_beside(self._container.folder, item.uri, item.length, item.where)
+                if data is None:
+                    raise FormatError(f"the file '{item.uri[:80]}' is missing", where=item.where)
+                self._present += len(data)
+            if len(data) < item.length:
+                raise FormatError(f"expected {item.length} bytes, got {len(data)}", where=f"{item.where}.byteLength")
+            self._buffers[index] = memoryview(data)[: item.length]
+        return self._buffers[index]
+
+    def range(self, buffer: int, offset: int, length: int, where: str) -> memoryview:
+        """Some bytes of a buffer."""
+        data = self.buffer(buffer)
+        if offset + length > len(data):
+            raise FormatError(
+                f"bytes {offset} to {offset + length} do not exist; buffer {buffer} has {len(data)}", where=where
+            )
+        return data[offset : offset + length]
+
+    def view(self, index: int) -> memoryview:
+        """The bytes of a buffer view, unpacked where they are compressed."""
+        if index not in self._views:
+            item = self._document.views[index]
+            plain = item.compressed is None
+            if not plain:
+                try:
+                    self._views[index] = self._unpacked(item)
+                except MissingExtra:  # the file may hold the same data uncompressed
+                    if self._document.buffers[item.buffer].fallback:
+                        raise
+                    plain = True
+            if plain:
+                if self._document.buffers[item.buffer].fallback and self._document.buffers[item.buffer].uri is None:
+                    raise FormatError("the view lies in a fallback buffer that has no data", where=item.where)
+                self._views[index] = self.range(item.buffer, item.offset, item.length, item.where)
+        return self._views[index]
+
+    def _unpacked(self, item: BufferView) -> memoryview:
+        packed = item.compressed
+        if packed is None:
+            raise FormatError("the view is not compressed", where=item.where)
+        source = self.range(packed.buffer, packed.offset, packed.length, item.where)
+        size = packed.count * packed.stride
+        if size > item.length + 3:  # the view's own length may be rounded up or down to alignment
+            raise FormatError(f"{packed.count} elements do not fit into {item.length} bytes", where=item.where)
+        if size > compression.MESHOPT_MOST * max(len(source), 1):
+            raise FormatError(f"{len(source)} bytes cannot hold {packed.count} elements", where=item.where)
+        self.take(size, item.where)
+        return memoryview(compression.unpack_meshopt(packed, bytes(source), item.where))
+
+    def array(self, index: int) -> NDArray[Any]:
+        """The elements (count, width) of an accessor in their own type, matrices (count, 4 or 9 or 16) column by column."""
+        if index not in self._arrays:
+            item = self._document.accessors[index]
+            array = self._plain(item)
+            if item.sparse is not None:
+                array = self._replaced(array, item)
+            if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
+                element = int(np.nonzero(~np.isfinite(array))[0][0])
+                raise FormatError(f"element {element} is not a finite number", where=item.where)
+            array.setflags(write=False)
+            self._arrays[index] = array
+        return self._arrays[index]
+
+    def _plain(self, item: Accessor) -> NDArray[Any]:
+        width, component = WIDTHS[item.kind], np.dtype(item.component)
+        native = component.newbyteorder("=")
+        size = item.count * width * component.itemsize
+        if item.view is None:
+            self.take(size, item.where)
+            return np.zeros((item.count, width), native)
+        view = self._document.views[item.view]
+        return self._elements(item.view, item.offset, view.stride, item.count, item.kind, component, item.where)
+
+    def _elements(
+        self, view: int, offset: int, stride: int | None, count: int, kind: str, component: np.dtype[Any], where: str
+    ) -> NDArray[Any]:
+        data = self.view(view)
+        width, bytes_each = WIDTHS[kind], component.itemsize
+        rows = {"MAT2": 2, "MAT3": 3, "MAT4": 4}.get(kind)
+        # Columns of small matrices start at multiples of four bytes.
+        column = None if rows is None else -(-rows * bytes_each // 4) * 4
+        element = width * bytes_each if rows is None or column is None else column * rows
+        stride = element if stride is None else stride
+        if stride < element:
+            raise FormatError(f"elements of {element} bytes do not fit a stride of {stride}", where=where)
+        needed = offset + (count - 1) * stride + element if count else 0
+        if rows is not None and column is not None:  # the last column need not be padded
+            needed -= column - rows * bytes_each
+        if needed > len(data):
+            raise FormatError(
+                f"{count} elements need {needed} bytes; bufferViews[{view}] has {len(data)}", where=f"{where}.count"
+            )
+        self.take(count * width * max(bytes_each, 4), where)
+        if rows is None or column is None:
+            strided = np.ndarray((count, width), component, data, offset, (stride, bytes_each))
+        else:
+            shape, strides = (count, rows, rows), (stride, column, bytes_each)
+            strided = np.ndarray(shape, component, data, offset, strides)
+        return strided.astype(component.newbyteorder("="), order="C", copy=True).reshape(count, width)
+
+    def _replaced(self, array: NDArray[Any], item: Accessor) -> NDArray[Any]:
+        sparse = item.sparse
+        if sparse is None or sparse.count == 0:
+            return array
+        if sparse.count > item.count:
+            raise FormatError(f"replaces {sparse.count} of {item.count} elements", where=f"{sparse.where}.count")
+        where = f"{sparse.where}.indices"
+        component = np.dtype(sparse.indices_type)
+        indices = self._elements(
+            sparse.indices_view, sparse.indices_offset, None, sparse.count, "SCALAR", component, where
+        )[:, 0].astype(np.int64)
+        if indices.max() >= item.count:
+            raise FormatError(f"element {int(indices.max())} does not exist; there are {item.count}", where=where)
+        if np.any(np.diff(indices) <= 0):
+            self._notes.add(f"{where}: the indices of replaced elements do not increase")
+        array[indices] = self._elements(
+            sparse.values_view,
+            sparse.values_offset,
+            None,
+            sparse.count,
+            item.kind,
+            np.dtype(item.component),
+            f"{sparse.where}.values",
+        )
+        return array
+
+    def floats(self, index: int, *kinds: str, place: str) -> NDArray[np.float32]:
+        """An accessor's elements (count, width) as float32; normalised integers become 0..1 or -1..1."""
+        item = self.expect(index, kinds, place)
+        if index not in self._floats:
+            array = self.array(index)
+            if array.dtype != np.float32:
+                array = self.as_floats(array, item.normalized)
+            array.setflags(write=False)
+            self._floats[index] = array
+        return self._floats[index]
+
+    @staticmethod
+    def as_floats(array: NDArray[Any], normalized: bool) -> NDArray[np.float32]:
+        """Integers as float32, divided by their largest value where they are normalised."""
+        floats = array.astype(np.float32)
+        if normalized and array.dtype.kind in "iu":
+            floats /= np.float32(np.iinfo(array.dtype).max)
+            np.maximum(floats, np.float32(-1), out=floats)
+        return floats
+
+    def expect(self, index: int, kinds: tuple[str, ...], place: str) -> Accessor:
+        """The accessor, which has to be of one of these types."""
+        item = self._document.accessors[index]
+        if kinds and item.kind not in kinds:
+            raise FormatError(f"expected {' or '.join(kinds)}, but accessors[{index}] is {item.kind}", where=place)
+        return item

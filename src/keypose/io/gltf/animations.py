@@ -1,0 +1,277 @@
+"""Animations as clips, and the morph channels they drive.
+
+Source: glTF 2.0 Specification, section 3.11 (animations) and appendix C (interpolation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from keypose.errors import FormatError
+from keypose.io.gltf.accessors import Arrays
+from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.document import Animation, Document, Sampler
+from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
+
+MODES = {"STEP": Interpolation.STEP, "LINEAR": Interpolation.LINEAR, "CUBICSPLINE": Interpolation.HERMITE}
+WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
+XYZW_TO_WXYZ = [3, 0, 1, 2]
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one sampler: ``values`` and tangents are (K, C), rotations already wxyz."""
+
+    times_s: NDArray[np.float64]
+    values: NDArray[np.float32]
+    mode: Interpolation
+    in_tangents: NDArray[np.float32] | None = None
+    out_tangents: NDArray[np.float32] | None = None
+
+    def column(self, index: int) -> Keys:
+        """The keys of one component."""
+        cut = slice(index, index + 1)
+        return Keys(
+            self.times_s,
+            self.values[:, cut],
+            self.mode,
+            None if self.in_tangents is None else self.in_tangents[:, cut],
+            None if self.out_tangents is None else self.out_tangents[:, cut],
+        )
+
+    def fingerprint(self) -> tuple[Any, ...]:
+        """Equal for equal keys."""
+        arrays = (self.times_s, self.values, self.in_tangents, self.out_tangents)
+        return (self.mode, *(None if a is None else a.tobytes() for a in arrays))
+
+    def curve(self, kind: CurveKind) -> Curve:
+        """The same as a curve."""
+        return Curve(self.times_s, self.values, self.mode, self.in_tangents, self.out_tangents, kind)
+
+
+@dataclass(frozen=True, slots=True)
+class MorphInstance:
+    """A node that shows a mesh with morph targets."""
+
+    node: int
+    name: str
+    targets: tuple[str, ...]
+    rest_weights: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MorphChannels:
+    """The channels of a character and, for each node, which of them drive its targets."""
+
+    names: tuple[str, ...]
+    rest_weights: NDArray[np.float32]
+    of_node: Mapping[int, NDArray[np.int32]]
+
+
+class Animations:
+    """The keyframes of a document's animations."""
+
+    def __init__(self, document: Document, arrays: Arrays, notes: Notes) -> None:
+        self._document, self._arrays, self._notes = document, arrays, notes
+        self._times: dict[int, tuple[NDArray[np.float64], NDArray[np.intp] | None]] = {}
+        self._keys: dict[tuple[int, int, str, int], Keys] = {}
+        self.weights: dict[tuple[int, int], Keys] = {}  # by animation and node
+        for number, animation in enumerate(document.animations):
+            for target in animation.targets:
+                node = target.node
+                if node is None or target.path != "weights":
+                    continue
+                mesh = document.nodes[node].mesh
+                count = 0
+                if mesh is not None and document.meshes[mesh].primitives:
+                    count = len(document.meshes[mesh].primitives[0].targets)
+                if count == 0:
+                    notes.add(f"{target.where}: nodes[{node}] has no morph targets; their animation was dropped")
+                elif (number, node) in self.weights:
+                    notes.add(f"{target.where}: nodes[{node}].weights is animated twice; the first was kept")
+                else:
+                    self.weights[number, node] = self.keys(animation.samplers[target.sampler], "weights", count)
+
+    def channels(self, instances: Sequence[MorphInstance]) -> MorphChannels:
+        """Morph channels: one for all targets of a name where nothing tells them apart, else one for each node."""
+        prints: dict[str, set[tuple[Any, ...]]] = {}
+        animations = range(len(self._document.animations))
+        for instance in instances:
+            for index, target in enumerate(instance.targets):
+                moves = [self.weights.get((a, instance.node)) for a in animations]
+                seen = (
+                    instance.rest_weights[index],
+                    *(None if keys is None else keys.column(index).fingerprint() for keys in moves),
+                )
+                prints.setdefault(target, set()).add(seen)
+        shared = {target for target, seen in prints.items() if len(seen) == 1}
+        names: dict[str, int] = {}
+        rest: list[float] = []
+        of_node: dict[int, NDArray[np.int32]] = {}
+        for instance in instances:
+            numbers: list[int] = []
+            for index, target in enumerate(instance.targets):
+                name = target
+                if target not in shared:
+                    name = f"{instance.name}.{target}"
+                    while name in names or name in shared:  # a target may be named like that by itself
+                        name += "'"
+                if name not in names:
+                    names[name] = len(rest)
+                    rest.append(instance.rest_weights[index])
+                numbers.append(names[name])
+            of_node[instance.node] = np.array(numbers, np.int32)
+        told_apart = sorted(set(prints) - shared)
+        if told_apart:
+            self._notes.add(
+                f"morph targets of one name move differently on several nodes and were named after them: "
+                f"{', '.join(told_apart[:8])}{', …' if len(told_apart) > 8 else ''}"
+            )
+        return MorphChannels(tuple(names), np.array(rest, np.float32), of_node)
+
+    def clips(self, joint_names: Sequence[str], joint_of_node: Mapping[int, int], morphs: MorphChannels) -> list[Clip]:
+        """One clip for each animation."""
+        names: set[str] = set()
+        clips: list[Clip] = []
+        for number, animation in enumerate(self._document.animations):
+            name = base = animation.name or f"animation_{number}"
+            again = 2
+            while name in names:
+                name, again = f"{base}_{again}", again + 1
+            if animation.name and name != base:
+                self._notes.add(f"several animations are named '{base}'; one became '{name}'")
+            names.add(name)
+            curves = self._curves(number, animation, joint_names, joint_of_node, morphs)
+            own = animation.extras.get("keypose")
+            rate = own.get("rate_hz") if isinstance(own, dict) else None
+            known = isinstance(rate, (int, float)) and not isinstance(rate, bool) and 0 < rate < 1e6
+            clips.append(Clip(curves, name, float(rate) if known and rate is not None else None))
+        return clips
+
+    def _curves(
+        self,
+        number: int,
+        animation: Animation,
+        joint_names: Sequence[str],
+        joint_of_node: Mapping[int, int],
+        morphs: MorphChannels,
+    ) -> dict[Channel, Curve]:
+        curves: dict[Channel, Curve] = {}
+        for target in animation.targets:
+            node = target.node
+            if node is None:
+                self._notes.add(f"{target.where}: a channel that animates no node was dropped")
+            elif target.path == "weights":
+                keys = self.weights.get((number, node))
+                channels = morphs.of_node.get(node)
+                if keys is None or channels is None:
+                    continue
+                for index, channel in enumerate(channels):
+                    key = Channel(morphs.names[channel], Property.WEIGHT)
+                    if key not in curves:  # shared channels have equal keys
+                        curves[key] = keys.column(index).curve(CurveKind.SCALAR)
+            elif node not in joint_of_node:
+                self._notes.add(f"{target.where}: nodes[{node}] is not in the scene; its animation was dropped")
+            else:
+                channel = Channel(joint_names[joint_of_node[node]], Property(target.path))
+                if channel in curves:
+                    self._notes.add(f"{target.where}: {target.path} is animated twice; the first was kept")
+                    continue
+                keys = self.keys(animation.samplers[target.sampler], target.path, 1)
+                kind = CurveKind.ROTATION if target.path == "rotation" else CurveKind.VECTOR
+                curves[channel] = keys.curve(kind)
+        return curves
+
+    def keys(self, sampler: Sampler, path: str, targets: int) -> Keys:
+        """The checked keys of a sampler for one path; weights have one column for each target."""
+        key = (sampler.input, sampler.output, f"{path} {sampler.interpolation}", targets)
+        if key not in self._keys:
+            self._keys[key] = self._read(sampler, path, targets)
+        return self._keys[key]
+
+    def _read(self, sampler: Sampler, path: str, targets: int) -> Keys:
+        times, kept = self._key_times(sampler)
+        count = len(times) if kept is None else self._document.accessors[sampler.input].count
+        where = f"{sampler.where}.output"
+        kind = {"rotation": "VEC4", "weights": "SCALAR"}.get(path, "VEC3")
+        values = self._arrays.floats(sampler.output, kind, place=where)
+        width = WIDTHS.get(path, targets)
+        parts = 3 if sampler.interpolation == "CUBICSPLINE" else 1
+        if values.size != count * parts * width:
+            raise FormatError(
+                f"expected {count * parts * width // values.shape[1]} elements for {count} keys, got {len(values)}",
+                where=where,
+            )
+        rows = values.reshape(count, parts, width)
+        if kept is not None:
+            rows = rows[kept]
+        if path == "rotation":
+            rows = rows[..., XYZW_TO_WXYZ]
+        middle = self._unit(rows[:, parts // 2], sampler, where) if path == "rotation" else rows[:, parts // 2]
+        if parts == 1:
+            return Keys(times, _own(middle), MODES[sampler.interpolation])
+        return Keys(times, _own(middle), Interpolation.HERMITE, _own(rows[:, 0]), _own(rows[:, 2]))
+
+    def _unit(self, rotations: NDArray[np.float32], sampler: Sampler, where: str) -> NDArray[np.float32]:
+        lengths = np.linalg.norm(rotations.astype(np.float64), axis=1)
+        if np.any(lengths > 1e18):
+            raise FormatError(f"key {int(np.argmax(lengths))} is no rotation", where=where)
+        empty = lengths < 1e-18
+        if np.any(empty):
+            self._notes.add(f"{where}: {int(empty.sum())} rotations of length 0 were replaced by none")
+            rotations = rotations.copy()
+            rotations[empty] = (1, 0, 0, 0)
+            lengths = np.where(empty, 1.0, lengths)
+        off = np.abs(lengths - 1) > 1e-5
+        # With tangents the length belongs to the curve: it is normalised after interpolation.
+        if np.any(off) and sampler.interpolation != "CUBICSPLINE":
+            worst = float(np.max(np.abs(lengths - 1)))
+            if worst > 1e-2:
+                self._notes.add(f"{where}: {int(off.sum())} rotations had other lengths than 1 and were normalised")
+            rotations = np.where(off[:, None], rotations / lengths[:, None], rotations).astype(np.float32)
+        return rotations
+
+    def _key_times(self, sampler: Sampler) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
+        """Increasing times, and which keys are kept (None: all)."""
+        index = sampler.input
+        if index not in self._times:
+            where = f"{sampler.where}.input"
+            times = self._arrays.floats(index, "SCALAR", place=where)[:, 0].astype(np.float64)
+            self._times[index] = self._repaired(times, where)
+        return self._times[index]
+
+    def _repaired(self, times: NDArray[np.float64], where: str) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
+        steps = np.diff(times)
+        if np.any(steps < 0):
+            key = int(np.argmax(steps < 0)) + 1
+            raise FormatError(
+                f"key {key} at {times[key]:g} s is before key {key - 1} at {times[key - 1]:g} s", where=where
+            )
+        if times[0] < 0:
+            self._notes.add(f"{where}: keys before time 0")
+        kept = None
+        if np.any(steps == 0):
+            # Several keys at one time are a jump: its two sides stay, the first a hair earlier.
+            first = np.concatenate([[True], steps > 0])
+            last = np.concatenate([steps > 0, [True]])
+            early = np.nextafter(times.astype(np.float32), np.float32(-np.inf)).astype(np.float64)
+            previous = np.concatenate([[-np.inf], times[:-1]])
+            keep = last | (first & ~last & (early > previous))
+            shifted = np.where(first & ~last, early, times)
+            kept = np.nonzero(keep)[0]
+            self._notes.add(f"{where}: {int(np.sum(steps == 0))} keys at the time of another were set apart")
+            times = shifted[kept]
+        times = np.array(times)
+        times.setflags(write=False)
+        return times, kept
+
+
+def _own(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    owned = np.array(values, np.float32, order="C")
+    owned.setflags(write=False)
+    return owned
