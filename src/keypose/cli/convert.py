@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from keypose.cli.console import console
-from keypose.cli.inputs import file_word, open_input
+from keypose.cli.inputs import open_input
 from keypose.errors import FormatError
-from keypose.model import Scene
+from keypose.model import Clip, Motion, Pose, Scene, Skeleton
 
 
 def convert_files(
@@ -26,9 +26,11 @@ def convert_files(
 ) -> None:
     """Write the inputs as one file and print how far the file read back is from what was written."""
     from keypose import io
-    from keypose.io.registry import format_for_writing
+    from keypose.io.registry import format_of_suffix, unknown_format
 
-    format_for_writing(output)  # an unknown suffix is told before anything is read
+    chosen = format_of_suffix(output)
+    if chosen is None or not chosen.write:  # told before anything is read
+        raise unknown_format(output, writing=True)
     scene = combine(inputs, [open_input(reference, unit=unit, up=up) for reference in inputs])
     if clip is not None:
         scene = replace(scene, animations=(scene.animation(clip),))
@@ -54,31 +56,29 @@ def combine(names: list[str], scenes: list[Scene]) -> Scene:
     """
     if len(scenes) == 1:
         return scenes[0]
-    from keypose.evaluate import bind
+    from keypose.evaluate import match, match_report
 
     base = next((i for i, s in enumerate(scenes) if any(c.parts for c in s.characters)), 0)
-    character = scenes[base].character
-    animations = list(scenes[base].animations) if base == 0 else []
-    notes = list(scenes[base].notes)
+    skeleton = scenes[base].character.skeleton
+    animations, notes = list(scenes[base].animations), list(scenes[base].notes)
     for i, scene in enumerate(scenes):
         if i == base:
             continue
+        added: list[Motion | Clip] = []
         for animation in scene.animations:
-            bound, share = bind(animation, character)
-            if share < 0.5:
+            report = match_report(animation, skeleton)
+            animated = len(report.sources) + len(report.unused)
+            if len(report.sources) * 2 < animated:
                 raise FormatError(
-                    f"{share:.0%} of its animated joints exist in {names[base]}; the two skeletons differ, so the motion "
-                    "cannot be applied by name",
+                    f"only {len(report.sources)} of its {animated} animated joints have a namesake in {names[base]}; "
+                    "the skeletons differ, so the motion cannot be applied by name",
                     path=names[i],
                 )
-            if share < 1:
-                notes.append(
-                    f"{names[i]}: {share:.0%} of the animated joints exist in {names[base]}; the others are left out"
-                )
-            animations.append(bound)
+            notes.extend(f"{names[i]}: {note}" for note in report.notes)
+            added.append(match(animation, skeleton))
         notes.extend(scene.notes)
-    if base != 0:
-        animations.extend(scenes[base].animations)
+        # The order of the inputs is the order of the clips.
+        animations = animations + added if i > base else added + animations
     return replace(scenes[base], animations=tuple(animations), notes=tuple(dict.fromkeys(notes)))
 
 
@@ -88,19 +88,24 @@ def proof(written: Scene, read: Scene) -> list[str]:
 
     if not written.characters or not read.characters:
         return []
-    source, result = written.character, read.character
+    source, result = written.character.skeleton, read.character.skeleton
     if not read.animations:
-        error = roundtrip_error(source.skeleton, None, result.skeleton, None)
-        return [f"rest pose, read back: {error}"]
-    worst: Any = None
-    for animation in read.animations:
-        original = next((a for a in written.animations if a.name == animation.name), written.animations[0])
-        error = roundtrip_error(source.skeleton, original, result.skeleton, animation)
-        if worst is None or (error.position_mm, error.rotation_deg) > (worst.position_mm, worst.rotation_deg):
-            worst = error
+        return [f"rest pose, read back: {roundtrip_error(_at_rest(source), _at_rest(result), source, result)}"]
+    errors = []
+    for k, animation in enumerate(read.animations):
+        same_name = (a for a in written.animations if a.name == animation.name)
+        original = written.animations[k] if len(read.animations) == len(written.animations) else next(same_name, None)
+        if original is not None:
+            errors.append(roundtrip_error(original, animation, source, result))
+    worst = max(errors, key=lambda e: (e.position_mm, e.rotation_deg))
     lines = [f"read back: {worst}"]
-    if len(read.animations) > 1:
-        lines[0] = f"{file_word(len(read.animations), 'clip')} read back, the worst: {worst}"
+    if len(errors) > 1:
+        lines = [f"{len(errors)} clips read back, the worst: {worst}"]
     if len(read.animations) < len(written.animations):
         lines.append(f"kept {len(read.animations)} of {len(written.animations)} clips; choose one with --clip")
     return lines
+
+
+def _at_rest(skeleton: Skeleton) -> Motion:
+    rest = skeleton.rest
+    return Motion(skeleton.names, Pose(rest.translations[None], rest.rotations[None], rest.scales[None]), 1.0)

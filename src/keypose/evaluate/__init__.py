@@ -4,6 +4,7 @@ from keypose.evaluate.baking import bake, reduce_keys, resample, snap_to_keys, t
 from keypose.evaluate.blending import add, blend, difference
 from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
+from keypose.evaluate.rates import key_rate
 from keypose.evaluate.sampling import sample, sample_clip, sample_curve, sample_morphs, sample_motion, unmatched
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "bake",
     "blend",
     "difference",
+    "key_rate",
     "local",
     "match",
     "match_report",
