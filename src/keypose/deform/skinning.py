@@ -11,7 +11,7 @@ import numpy as np
 
 from keypose.arrays import Array, Ints, checked, gather, namespace, unified
 from keypose.errors import ShapeError, UnknownName
-from keypose.math import quat, rigid
+from keypose.math import dualquat, quat, rigid
 from keypose.model import Mesh, Skin
 
 Method = Literal["linear", "dual_quaternion"]
@@ -78,6 +78,8 @@ def skin_points(
     """
     if method not in METHODS:
         raise UnknownName("skinning method", method, METHODS)
+    if not binding.influence_count:
+        raise ShapeError("skin: expected at least one influence per vertex, got 0")
     if normals is None:
         positions, matrices, weights = unified(positions, matrices, binding.weights)
     else:
@@ -117,36 +119,27 @@ def _dual_quaternion(
     translations, rotations, _ = rigid.to_trs(matrices)
     # The matrix is rotation * stretch, whatever rotation was found: the split is exact under shear and mirroring too.
     stretches = xp.matmul(xp.matrix_transpose(quat.to_matrix(rotations)), matrices[..., :3, :3])
-    real, dual = _blended_dual_quaternions(xp, rotations, translations, binding, weights)
+    motions = _blended_motions(xp, dualquat.from_rigid(rotations, translations), binding, weights)
     stretched = _apply(xp, _blended(xp, stretches, binding.joints, weights), positions)
-    w, v = real[..., :1], real[..., 1:]
-    dual_w, dual_v = dual[..., :1], dual[..., 1:]
-    translation = 2 * (w * dual_v - dual_w * v + xp.linalg.cross(v, dual_v))
-    moved = quat.rotate(real, stretched) + translation
+    moved = dualquat.transform_points(motions, stretched)
     if normals is None:
         return moved, None
     turned = _apply(xp, _blended(xp, _normal_matrices(stretches), binding.joints, weights), normals)
-    return moved, _unit(xp, quat.rotate(real, turned))
+    return moved, _unit(xp, quat.rotate(motions[..., :4], turned))
 
 
-def _blended_dual_quaternions(
-    xp: Any, rotations: Array, translations: Array, binding: Skin, weights: Array
-) -> tuple[Array, Array]:
-    """Real and dual parts (*B, V, 4) of unit dual quaternions per vertex."""
-    zero = xp.zeros_like(translations[..., :1])
-    duals = 0.5 * quat.multiply(xp.concat([zero, translations], axis=-1), rotations)
+def _blended_motions(xp: Any, motions: Array, binding: Skin, weights: Array) -> Array:
+    """Unit dual quaternions per vertex (*B, V, 8), from the palette's (*B, P, 8)."""
     joints = binding.joints
-    strongest = np.argmax(np.asarray(binding.weights), axis=1) if joints.shape[1] else np.zeros(len(joints), np.intp)
-    pivot = gather(rotations, joints[np.arange(len(joints)), strongest], -2)
-    real = dual = 0.0
+    strongest = np.argmax(np.asarray(binding.weights), axis=1)
+    pivot = gather(motions, joints[np.arange(len(joints)), strongest], -2)[..., :4]
+    total = 0.0
     for k in range(joints.shape[1]):
-        turn = gather(rotations, joints[:, k], -2)
-        side = xp.sum(turn * pivot, axis=-1, keepdims=True)
-        share = xp.where(side < 0, -weights[:, k, None], weights[:, k, None])
-        real = real + share * turn
-        dual = dual + share * gather(duals, joints[:, k], -2)
-    length = _length(xp, real)
-    return real / length, dual / length
+        motion = gather(motions, joints[:, k], -2)
+        # q and -q are one motion: add on the side of the strongest influence, so that the sum cannot vanish.
+        side = xp.sum(motion[..., :4] * pivot, axis=-1, keepdims=True)
+        total = total + xp.where(side < 0, -weights[:, k, None], weights[:, k, None]) * motion
+    return dualquat.normalize(total)
 
 
 # --- pieces -----------------------------------------------------------------------------------------------------------

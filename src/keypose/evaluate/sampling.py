@@ -16,7 +16,7 @@ import numpy as np
 
 from keypose.arrays import Array, as_float, checked, gather, namespace, unified
 from keypose.errors import ShapeError
-from keypose.math import quat
+from keypose.math import quat, spline
 from keypose.model import (
     Channel,
     Clip,
@@ -166,6 +166,8 @@ def _checked_curve(channel: Channel, curve: Curve) -> Curve:
             f"curve {channel.target}.{channel.property.value}: expected values of shape (K, {width}), "
             f"got {tuple(curve.values.shape)}"
         )
+    if channel.property is Property.ROTATION and curve.kind is not CurveKind.ROTATION:
+        raise ShapeError(f"curve {channel.target}.rotation: expected the kind ROTATION, got {curve.kind.name}")
     return curve
 
 
@@ -191,9 +193,11 @@ def _locate(keys: Array, times: Array, before: Extrapolation, after: Extrapolati
                 phase = np.mod(times - start, 2 * (end - start))
                 inside = np.where(outside, start + np.minimum(phase, 2 * (end - start) - phase), inside)
             elif rule in (Extrapolation.CYCLE, Extrapolation.CYCLE_OFFSET):
-                inside = np.where(outside, start + np.mod(times - start, end - start), inside)
+                # divmod, so that whole cycles and the rest agree to the last bit.
+                whole, rest = np.divmod(times - start, end - start)
+                inside = np.where(outside, start + rest, inside)
                 if rule is Extrapolation.CYCLE_OFFSET:
-                    whole = np.where(outside, np.floor((times - start) / (end - start)), 0.0)
+                    whole = np.where(outside, whole, 0.0)
                     cycles = whole if cycles is None else cycles + whole
     inside = np.clip(inside, start, end)
     span = np.clip(np.searchsorted(keys, inside, side="right") - 1, 0, len(keys) - 1)
@@ -216,12 +220,12 @@ def _sample_group(curves: Sequence[Curve], times: Array) -> Array:
     present = {int(m) for m in np.unique(modes[where.share != 0])}
     result = at
     if Interpolation.LINEAR in present:
-        moved = quat.slerp(at, to, share[..., 0]) if is_rotation else _lerp(at, to, share)
+        moved = quat.slerp(at, to, share) if is_rotation else spline.lerp(at, to, share)
         result = _where(xp, modes == Interpolation.LINEAR, moved, result)
     if Interpolation.HERMITE in present:
         outgoing = _rows(xp, [c.out_tangents for c in curves], where.span)
         incoming = _rows(xp, [c.in_tangents for c in curves], where.following)
-        moved = _hermite(at, outgoing, to, incoming, share, _numbers(xp, where.span_s, at))
+        moved = spline.hermite(at, outgoing, to, incoming, share, _numbers(xp, where.span_s, at))
         if is_rotation:
             moved = quat.normalize(moved)
         result = _where(xp, modes == Interpolation.HERMITE, moved, result)
@@ -235,19 +239,6 @@ def _sample_group(curves: Sequence[Curve], times: Array) -> Array:
     return result
 
 
-def _lerp(a: Array, b: Array, u: Array) -> Array:
-    return (1 - u) * a + u * b
-
-
-def _hermite(p0: Array, m0: Array, p1: Array, m1: Array, u: Array, span_s: Array) -> Array:
-    return (
-        (1 + 2 * u) * (1 - u) ** 2 * p0
-        + span_s * u * (1 - u) ** 2 * m0
-        + u * u * (3 - 2 * u) * p1
-        + span_s * u * u * (u - 1) * m1
-    )
-
-
 def _rows(xp: ModuleType, tables: Sequence[Array], index: Array) -> Array:
     """Rows of each table at an index of any shape, side by side: (*B, G, C)."""
     if not isinstance(tables[0], np.ndarray):
@@ -259,11 +250,10 @@ def _rows(xp: ModuleType, tables: Sequence[Array], index: Array) -> Array:
 
 
 def _numbers(xp: ModuleType, numbers: Array, like: Array) -> Array:
-    """NumPy numbers (*B,) as (*B, 1, 1) in the library and precision of ``like``."""
-    (converted,) = unified(np.asarray(numbers))
+    """NumPy numbers (*B,) as (*B, 1), one for all of a group, in the library and precision of ``like``."""
     if isinstance(like, np.ndarray):
-        return converted.astype(like.dtype)[..., None, None]
-    return xp.astype(unified(converted, like)[0], like.dtype)[..., None, None]
+        return np.asarray(numbers, like.dtype)[..., None]
+    return xp.astype(unified(np.asarray(numbers), like)[0], like.dtype)[..., None]
 
 
 def _where(xp: ModuleType, condition: Array, yes: Array, no: Array) -> Array:
@@ -284,9 +274,9 @@ def _add_cycles(xp: ModuleType, curves: Sequence[Curve], result: Array, cycles: 
     count = _numbers(xp, cycles, result)
     if curves[0].kind is CurveKind.ROTATION:
         # Bring one cycle's turn to the power of the number of cycles, before the rotation inside the cycle.
-        moved = quat.multiply(quat.power(quat.multiply(last, quat.conjugate(first)), count[..., 0]), result)
+        moved = quat.multiply(quat.power(quat.multiply(last, quat.conjugate(first)), count), result)
     else:
-        moved = result + count * (last - first)
+        moved = result + count[..., None] * (last - first)
     return _where(xp, cycles != 0, moved, result)
 
 
@@ -306,7 +296,7 @@ def _extend(xp: ModuleType, curves: Sequence[Curve], result: Array, outside_s: A
     else:
         velocity = (_ends(xp, curves, span + 1) - _ends(xp, curves, span)) / span_s
     if first.kind is not CurveKind.ROTATION:
-        return _where(xp, outside_s != 0, end + elapsed * velocity, result)
+        return _where(xp, outside_s != 0, end + elapsed[..., None] * velocity, result)
     if mode == Interpolation.HERMITE:
         # q' = (half angular velocity) q; only the part along the sphere turns, normalising removes the other.
         half_velocity = quat.multiply(velocity, quat.conjugate(end))[..., 1:]
@@ -314,7 +304,7 @@ def _extend(xp: ModuleType, curves: Sequence[Curve], result: Array, outside_s: A
         half_velocity = (
             quat.to_rotation_vector(quat.difference(_ends(xp, curves, span), _ends(xp, curves, span + 1))) / 2 / span_s
         )
-    moved = quat.multiply(quat.exp(elapsed * half_velocity), end)
+    moved = quat.multiply(quat.exp(elapsed[..., None] * half_velocity), end)
     return _where(xp, outside_s != 0, moved, result)
 
 
@@ -338,8 +328,9 @@ def _over_rest(rows: list[int], curves: list[Curve], rest: Array, times: Array) 
     groups: dict[tuple[Any, ...], list[int]] = {}
     by_identity: dict[tuple[Any, ...], tuple[Any, ...]] = {}
     for i, curve in enumerate(curves):
-        quick = (id(curve.times_s), id(curve.modes), curve.kind, curve.before, curve.after, str(curve.values.dtype))
-        if quick not in by_identity or curve.out_tangents is not None:
+        dtype, tangents = str(curve.values.dtype), curve.out_tangents is None
+        quick = (id(curve.times_s), id(curve.modes), curve.kind, curve.before, curve.after, dtype, tangents)
+        if quick not in by_identity:
             by_identity[quick] = _group_key(curve)
         groups.setdefault(by_identity[quick], []).append(i)
     sampled = [(members, _sample_group([curves[i] for i in members], times)) for members in groups.values()]
@@ -393,7 +384,7 @@ def _between(array: Array, frames: Array, following: Array, share: Array, rotati
         at = xp.reshape(gather(array, frames.reshape(-1), 0), shape)
         to = xp.reshape(gather(array, following.reshape(-1), 0), shape)
     u = _numbers(xp, share, array)
-    moved = quat.slerp(at, to, u[..., 0]) if rotation else _lerp(at, to, u)
+    moved = quat.slerp(at, to, u) if rotation else spline.lerp(at, to, u)
     return _where(xp, share == 0, at, moved)
 
 
