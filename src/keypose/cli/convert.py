@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from keypose.cli.console import console
-from keypose.cli.inputs import open_input
+from keypose.cli.inputs import open_inputs, unit_option
 from keypose.errors import FormatError
 from keypose.model import Clip, Motion, Pose, Scene, Skeleton
 
@@ -31,10 +31,14 @@ def convert_files(
     chosen = format_of_suffix(output)
     if chosen is None or not chosen.write:  # told before anything is read
         raise unknown_format(output, writing=True)
-    scene = combine(inputs, [open_input(reference, unit=unit, up=up) for reference in inputs])
+    scene = combine(inputs, open_inputs(inputs, unit=unit, up=up))
     if clip is not None:
         scene = replace(scene, animations=(scene.animation(clip),))
-    options: dict[str, Any] = {"rate_hz": rate_hz, "unit": out_unit, "order": order}
+    options: dict[str, Any] = {
+        "rate_hz": rate_hz,
+        "unit": None if out_unit is None else unit_option(out_unit),
+        "order": order,
+    }
     write_notes = io.save(scene, output, **{name: value for name, value in options.items() if value is not None})
     if quiet:
         return

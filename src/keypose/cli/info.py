@@ -95,7 +95,7 @@ def _summary(character: Any) -> str:
     if character.parts:
         pieces += [
             file_word(len(character.parts), "mesh part"),
-            file_word(character.vertex_count, "vertex").replace("vertexs", "vertices"),
+            file_word(character.vertex_count, "vertex", "vertices"),
             file_word(character.triangle_count, "triangle"),
         ]
     if character.morph_names:
