@@ -1,0 +1,119 @@
+"""Files in and out: `load` and `save` for every known format.
+
+>>> import keypose.io
+>>> [entry.name for entry in keypose.io.formats()][:2]
+['bvh', 'gltf']
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from keypose.errors import FormatError, ShapeError
+from keypose.io.registry import (
+    HEAD_BYTES,
+    Format,
+    checked_options,
+    format_of_content,
+    format_of_suffix,
+    formats,
+    register,
+    unknown_format,
+)
+from keypose.model import Character, Clip, Motion, Scene, Skeleton
+
+__all__ = ["Format", "formats", "load", "register", "save"]
+
+_Storable = Scene | Character | Skeleton | Motion | Clip
+
+
+def load(path: str | PathLike[str], **options: Any) -> Scene:
+    """Read a file; what was guessed, repaired or dropped is in the scene's ``notes``.
+
+    The format is chosen by the file's content, then by its suffix; ``options`` are those of its reader.
+
+    Raises:
+        FormatError: where the file is missing, unreadable, of no known format or malformed; it names the place.
+        UnknownName: for an option that the format does not have.
+    """
+    path = Path(path)
+    head = _head(path)
+    found, named = format_of_content(head), format_of_suffix(path)
+    chosen = found or named
+    if chosen is None:
+        raise unknown_format(path, writing=False)
+    reader = chosen.reader()
+    try:
+        scene: Scene = reader(path, **checked_options(reader, options, chosen.name))
+    except FormatError as error:
+        raise (error if error.path else error.at(path)) from None
+    except ShapeError as error:  # data that a reader let through but no model type accepts
+        raise FormatError(str(error), path=path) from error
+    except OSError as error:
+        raise FormatError(f"cannot be read: {error.strerror or error}", path=error.filename or path) from None
+    if found and named and found is not named:
+        scene = replace(scene, notes=(*scene.notes, f"named '{path.suffix}', but its content is {found.name}"))
+    return scene
+
+
+def save(scene: _Storable | Iterable[_Storable], path: str | PathLike[str], **options: Any) -> tuple[str, ...]:
+    """Write a scene to a file of the format that the suffix names; returns notes of what the format could not hold.
+
+    A character, a skeleton, a motion or clip, or several of these (``save([character, motion], path)``) are put into
+    a scene first. The file appears whole or not at all. ``options`` are those of the format's writer.
+
+    Raises:
+        FormatError: where the suffix is unknown, or the place or the content cannot be written.
+        UnknownName: for an option that the format does not have.
+    """
+    path = Path(path)
+    chosen = format_of_suffix(path)
+    if chosen is None or not chosen.write:
+        raise unknown_format(path, writing=True)
+    writer = chosen.writer()
+    try:
+        notes = writer(_as_scene(scene), path, **checked_options(writer, options, chosen.name))
+    except FormatError as error:
+        raise (error if error.path else error.at(path)) from None
+    except OSError as error:
+        raise FormatError(f"cannot be written: {error.strerror or error}", path=error.filename or path) from None
+    return tuple(notes or ())
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir():
+        raise FormatError("is a folder; expected a file", path=path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except FileNotFoundError:
+        raise FormatError("no such file", path=path) from None
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise FormatError(f"cannot be read: {getattr(error, 'strerror', None) or error}", path=path) from None
+    if not head:
+        raise FormatError("the file is empty", path=path)
+    return head
+
+
+def _as_scene(content: _Storable | Iterable[_Storable]) -> Scene:
+    if isinstance(content, Scene):
+        return content
+    items = [content] if isinstance(content, (Character, Skeleton, Motion, Clip)) else list(content)
+    characters: list[Character] = []
+    animations: list[Motion | Clip] = []
+    for item in items:
+        if isinstance(item, Skeleton):
+            characters.append(Character(item))
+        elif isinstance(item, Character):
+            characters.append(item)
+        elif isinstance(item, (Motion, Clip)):
+            animations.append(item)
+        else:
+            raise ShapeError(
+                f"expected a Scene, Character, Skeleton, Motion or Clip to save, got {type(item).__name__}"
+            )
+    return Scene(tuple(characters), tuple(animations))

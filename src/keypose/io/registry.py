@@ -1,0 +1,113 @@
+"""The table of file formats and the choice among them: by content first, then by suffix.
+
+Readers and writers are named, not imported, so that ``import keypose.io`` is light and a format costs nothing until a
+file of its kind is met.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from keypose.errors import FormatError, UnknownName
+
+HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One file format.
+
+    ``read`` and ``write`` name functions as ``module:function``:
+    ``read(path: Path, **options) -> Scene``, ``write(scene: Scene, path: Path, **options) -> notes or None``.
+    ``sniff`` says from the first bytes of a file whether it is of this format; an empty ``write`` means read only.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    sniff: Callable[[bytes], bool]
+    read: str
+    write: str = ""
+
+    def reader(self) -> Callable[..., Any]:
+        """The reading function, imported now."""
+        return _function(self.read)
+
+    def writer(self) -> Callable[..., Any]:
+        """The writing function, imported now; `FormatError` where the format is only read."""
+        if not self.write:
+            raise FormatError(f"{self.name} files can be read but not written")
+        return _function(self.write)
+
+
+def _is_bvh(head: bytes) -> bool:
+    for line in head.removeprefix(b"\xef\xbb\xbf").splitlines():
+        line = line.strip()
+        if line and not line.startswith((b"#", b"//")):
+            return line[:9].upper() == b"HIERARCHY"
+    return False
+
+
+def _is_gltf(head: bytes) -> bool:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return head.startswith(b"glTF") or (text.startswith(b"{") and b'"asset"' in text)
+
+
+_formats: dict[str, Format] = {}
+
+
+def register(entry: Format) -> None:
+    """Add a format, or replace the one of the same name."""
+    _formats[entry.name] = entry
+
+
+register(Format("bvh", (".bvh",), _is_bvh, "keypose.io.bvh:read", "keypose.io.bvh:write"))
+register(
+    Format("gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf:read", "keypose.io.gltf:write"),
+)
+
+
+def formats() -> tuple[Format, ...]:
+    """All known formats."""
+    return tuple(_formats.values())
+
+
+def format_of_content(head: bytes) -> Format | None:
+    """The format whose mark the first bytes of a file carry."""
+    return next((entry for entry in _formats.values() if entry.sniff(head)), None)
+
+
+def format_of_suffix(path: Path) -> Format | None:
+    """The format that a file name ends in."""
+    suffix = path.suffix.lower()
+    return next((entry for entry in _formats.values() if suffix in entry.suffixes), None)
+
+
+def unknown_format(path: Path, *, writing: bool) -> FormatError:
+    """The error for a file of no known kind; it names the kinds there are."""
+    known = [s for entry in _formats.values() if entry.write or not writing for s in entry.suffixes]
+    what = f"unknown suffix '{path.suffix}'" if path.suffix else "the name has no suffix"
+    if not writing:
+        what = f"not recognised by its content, and {what}"
+    return FormatError(f"{what}; known: {' '.join(known)}", path=path)
+
+
+def checked_options(function: Callable[..., Any], options: Mapping[str, Any], kind: str) -> Mapping[str, Any]:
+    """``options`` themselves; raises `UnknownName` with the nearest name for one that ``function`` does not take."""
+    parameters = inspect.signature(function).parameters.values()
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
+        return options
+    known: Iterable[str] = [p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    for name in options:
+        if name not in known:
+            raise UnknownName(f"{kind} option", name, known)
+    return options
+
+
+def _function(reference: str) -> Callable[..., Any]:
+    module, _, name = reference.partition(":")
+    return getattr(importlib.import_module(module), name)
