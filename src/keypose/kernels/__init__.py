@@ -1,0 +1,11 @@
+"""The hot loops, compiled with Numba to explicit SIMD code: arrays in, arrays out, quaternions wxyz.
+
+Functions of other packages check their arguments; the entries here only make sure that types and sizes are safe to
+run on. Importing this package loads nothing; each module loads Numba when it is first used.
+
+    text     numbers of text files, both ways
+    fk       forward kinematics of whole clips
+    sample   sampling and blending clips for crowds and single characters, slerp
+    skin     linear-blend skinning
+    vectors, rotations, runtime   what they are made of
+"""
