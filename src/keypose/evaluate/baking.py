@@ -14,7 +14,7 @@ from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
 from keypose.math import quat
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
 
-# Files store key times in float32 or in a few decimals: what is nearer to a whole frame than this is that frame.
+# Durations come from files that round them: 1 % of a frame short is still a whole frame.
 _FRAME_ROUNDING = 0.01
 
 
@@ -30,8 +30,8 @@ def bake(
     """A clip sampled at a uniform rate, for the joints of a skeleton and the morphs asked for.
 
     Frame 0 is at ``start_s`` (the clip's first key if not given); the last frame is the last one not after ``end_s``
-    (the clip's last key). A frame whose time is a key's but for rounding (1 % of a frame at most) takes the key itself,
-    so that keys written at a rate come back bit for bit when they are baked at that rate.
+    (the clip's last key). A frame whose time is a key's but for the rounding of float32 (in which glTF stores times)
+    takes the key itself, so that keys written at a rate come back bit for bit when they are baked at that rate.
 
     Raises:
         ShapeError: where the rate is not positive or the end comes before the start.
@@ -40,7 +40,7 @@ def bake(
     end = clip.end_s if end_s is None else float(end_s)
     count = _frame_count(start, end, rate_hz)
     times = start + np.arange(count) / rate_hz
-    sampled = np.clip(snap_to_keys(clip, times, _FRAME_ROUNDING / rate_hz), start, max(start, end))
+    sampled = np.clip(snap_to_keys(clip, times, np.minimum(_rounding_s(times), 0.25 / rate_hz)), start, max(start, end))
     weights = sample_morphs(clip, morph_names, sampled, rest_morph_weights) if morph_names else None
     return Motion(
         skeleton.names,
@@ -100,7 +100,7 @@ def resample(motion: Motion, rate_hz: float) -> Motion:
     # Where old and new frames coincide take the frame itself.
     position = (times - motion.start_s) * motion.rate_hz
     nearest = np.rint(position)
-    close = np.abs(position - nearest) <= _FRAME_ROUNDING * 1e-3
+    close = np.abs(position - nearest) <= 1e-6 * motion.rate_hz
     times = np.where(close, motion.start_s + nearest / motion.rate_hz, times)
     weights = None if motion.morph_weights is None else sample_morphs(motion, motion.morph_names, times)
     return replace(motion, pose=sample_motion(motion, times), rate_hz=rate_hz, morph_weights=weights)
@@ -144,7 +144,13 @@ def _frame_count(start: float, end: float, rate_hz: float) -> int:
         raise ShapeError(f"rate_hz: expected a positive number, got {rate_hz}")
     if not (np.isfinite(start) and np.isfinite(end) and end >= start):
         raise ShapeError(f"end_s: expected a time not before the start at {start} s, got {end} s")
-    return int(np.floor((end - start) * rate_hz + _FRAME_ROUNDING)) + 1
+    rounding = max(_FRAME_ROUNDING, min(float(_rounding_s(end)) * rate_hz, 0.25))
+    return int(np.floor((end - start) * rate_hz + rounding)) + 1
+
+
+def _rounding_s(times_s: Any) -> Any:
+    """By how much two times may differ that were one before they were rounded to float32."""
+    return 1e-6 + np.abs(times_s) * 2.0**-23
 
 
 def _tangents(values: Array, rate_hz: float) -> Array:
