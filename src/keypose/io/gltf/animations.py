@@ -6,7 +6,7 @@ Source: glTF 2.0 Specification, section 3.11 (animations) and appendix C (interp
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from keypose.errors import FormatError
 from keypose.io.gltf.accessors import Arrays
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.document import Animation, Document, Sampler
+from keypose.io.gltf.hierarchy import OWN
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
 
 MODES = {"STEP": Interpolation.STEP, "LINEAR": Interpolation.LINEAR, "CUBICSPLINE": Interpolation.HERMITE}
@@ -147,10 +148,10 @@ class Animations:
                 self._notes.add(f"several animations are named '{base}'; one became '{name}'")
             names.add(name)
             curves = self._curves(number, animation, joint_names, joint_of_node, morphs)
-            own = animation.extras.get("keypose")
-            rate = own.get("rate_hz") if isinstance(own, dict) else None
-            known = isinstance(rate, (int, float)) and not isinstance(rate, bool) and 0 < rate < 1e6
-            clips.append(Clip(curves, name, float(rate) if known and rate is not None else None))
+            start = _own_number(animation, "start_s", -1e6, 0)
+            if start is not None:  # the writer moved it, because the format has no time before 0
+                curves = {c: replace(curve, times_s=curve.times_s + start) for c, curve in curves.items()}
+            clips.append(Clip(curves, name, _own_number(animation, "rate_hz", 0, 1e6)))
         return clips
 
     def _curves(
@@ -269,6 +270,14 @@ class Animations:
         times = np.array(times)
         times.setflags(write=False)
         return times, kept
+
+
+def _own_number(animation: Animation, key: str, above: float, below: float) -> float | None:
+    """A number that keypose itself has written into an animation's extras."""
+    own = animation.extras.get(OWN)
+    value = own.get(key) if isinstance(own, dict) else None
+    known = isinstance(value, (int, float)) and not isinstance(value, bool) and above < value < below
+    return float(value) if known and value is not None else None
 
 
 def _own(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -30,6 +30,7 @@ class Hierarchy:
 
     skeleton: Skeleton
     joint_of_node: Mapping[int, int]
+    joint_above: Mapping[int, int]  # of carriers, if there is one
     nodes: tuple[int, ...]  # of the scene, carriers too
     node_extras: Mapping[str, Mapping[str, Any]]
 
@@ -82,13 +83,17 @@ def build(document: Document, notes: Notes) -> tuple[Hierarchy, str]:
     joint_parents = np.full(len(kept), -1, np.int32)
     ends: list[tuple[int, tuple[float, float, float]]] = []
     extras: dict[str, Mapping[str, Any]] = {}
+
+    def joint_above(node: int) -> int:
+        parent = parents[node]
+        while parent in carriers:
+            parent = parents[parent]
+        return joint_of_node.get(parent, -1)
+
     for joint, index in enumerate(kept):
         node = document.nodes[index]
         translations[joint], rotations[joint], scales[joint] = _transform(node, notes)
-        parent = parents[index]
-        while parent in carriers:
-            parent = parents[parent]
-        joint_parents[joint] = joint_of_node.get(parent, -1)
+        joint_parents[joint] = joint_above(index)
         own = own_extras(node.extras)
         end = own.get(END_SITE)
         if isinstance(end, list) and len(end) == 3 and all(_finite(e) for e in end):
@@ -98,7 +103,9 @@ def build(document: Document, notes: Notes) -> tuple[Hierarchy, str]:
             extras[names[joint]] = rest
     pose = Pose(translations.astype(np.float32), rotations.astype(np.float32), scales.astype(np.float32))
     skeleton = Skeleton(tuple(names), joint_parents, pose, tuple(ends))
-    return Hierarchy(skeleton, joint_of_node, tuple(order), extras), name
+    above = {carrier: joint_above(carrier) for carrier in sorted(carriers)}
+    above = {carrier: joint for carrier, joint in above.items() if joint >= 0}
+    return Hierarchy(skeleton, joint_of_node, above, tuple(order), extras), name
 
 
 def _finite(value: Any) -> bool:

@@ -55,8 +55,8 @@ def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials
     _note_what_is_dropped(document, tree, notes)
     characters: tuple[Character, ...] = ()
     if tree.skeleton.joint_count:
-        roles = humanoid.roles(root, tree.joint_of_node, notes)
-        extras = {"nodes": dict(tree.node_extras)} if tree.node_extras else {}
+        roles = {**_own_roles(document, tree), **humanoid.roles(root, tree.joint_of_node, notes)}
+        extras: dict[str, Any] = {"gltf": {"nodes": dict(tree.node_extras)}} if tree.node_extras else {}
         characters = (
             Character(
                 skeleton=tree.skeleton,
@@ -65,7 +65,7 @@ def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials
                 morph_names=channels.names,
                 rest_morph_weights=channels.rest_weights,
                 roles=roles,
-                extras={"gltf": extras} if extras else {},
+                extras=extras,
             ),
         )
     else:
@@ -110,8 +110,10 @@ def _parts(
             continue
         mesh = document.meshes[node.mesh]
         joint = tree.joint_of_node.get(index)
-        own = hierarchy.own_extras(node.extras)
-        base = str(own.get("name", "")) or mesh.name or node.name or f"mesh_{node.mesh}"
+        node_name = None if joint is None else tree.skeleton.names[joint]
+        if joint is None:
+            joint = tree.joint_above.get(index)
+        base = mesh.name or node.name or f"mesh_{node.mesh}"
         for number, primitive in enumerate(mesh.primitives):
             surface = surfaces.surface(node.mesh, number)
             if surface is None:
@@ -126,7 +128,7 @@ def _parts(
             morphs = surface.morphs
             parts.append(
                 Part(
-                    name=base if len(mesh.primitives) == 1 else f"{base}_{number}",
+                    name=_part_name(primitive.extras, base if len(mesh.primitives) == 1 else f"{base}_{number}"),
                     mesh=surface.mesh,
                     material=materials.material(primitive.material),
                     skin=skin,
@@ -134,7 +136,7 @@ def _parts(
                     morphs=morphs,
                     morph_channels=None if morphs is None else channels.of_node[index],
                     group=group,
-                    extras=_part_extras(mesh, primitive.extras, None if joint is None else tree.skeleton.names[joint]),
+                    extras=_part_extras(mesh, primitive.extras, node_name),
                 )
             )
         group += 1
@@ -143,6 +145,7 @@ def _parts(
 
 def _part_extras(mesh: MeshItem, primitive: Mapping[str, Any], node: str | None) -> dict[str, Any]:
     """What the writer needs to put the part back where it was."""
+    kept = {k: v for k, v in primitive.items() if k != OWN}
     place: dict[str, Any] = {}
     if mesh.name:
         place["mesh"] = mesh.name
@@ -150,7 +153,23 @@ def _part_extras(mesh: MeshItem, primitive: Mapping[str, Any], node: str | None)
         place["node"] = node
     if mesh.extras:
         place["mesh_extras"] = dict(mesh.extras)
-    return {**primitive, "gltf": place} if place else dict(primitive)
+    return {**kept, "gltf": place} if place else kept
+
+
+def _part_name(extras: Mapping[str, Any], name: str) -> str:
+    own = extras.get(OWN)
+    given = own.get("name") if isinstance(own, dict) else None
+    return given if isinstance(given, str) else name
+
+
+def _own_roles(document: Document, tree: Hierarchy) -> dict[str, int]:
+    """Roles that keypose has written into the nodes."""
+    roles: dict[str, int] = {}
+    for node, joint in tree.joint_of_node.items():
+        role = hierarchy.own_extras(document.nodes[node].extras).get("role")
+        if isinstance(role, str):
+            roles.setdefault(role, joint)
+    return roles
 
 
 def _note_what_is_dropped(document: Document, tree: Hierarchy, notes: Notes) -> None:
@@ -187,6 +206,10 @@ def _restored(scene: Scene, document: Document) -> Scene:
         return scene
     source = own.get("source")
     kept = {k: v for k, v in source.items() if k != "gltf"} if isinstance(source, dict) else {}
+    character = own.get("character")
+    if isinstance(character, dict) and len(scene.characters) == 1:
+        restored = {k: v for k, v in character.items() if k != "gltf"}
+        scene = replace(scene, characters=(replace(scene.character, extras={**restored, **scene.character.extras}),))
     unit, up = own.get("unit_m"), own.get("up")
     known = isinstance(unit, (int, float)) and not isinstance(unit, bool) and np.isfinite(unit) and unit > 0
     return replace(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from keypose.arrays import Ints
 from keypose.errors import FormatError, MissingExtra
 from keypose.io.gltf.accessors import Arrays
 from keypose.io.gltf.checking import Notes
@@ -320,7 +321,7 @@ def target_names(item: MeshItem, notes: Notes) -> tuple[str, ...]:
     return tuple(names)
 
 
-def smooth_normals(positions: NDArray[np.float32], triangles: NDArray[np.int32]) -> NDArray[np.float32]:
+def smooth_normals(positions: NDArray[np.float32], triangles: Ints) -> NDArray[np.float32]:
     """Unit normals (V, 3): the mean of the adjoining triangles, weighted by area; +Y where there is none."""
     a, b, c = (positions[triangles[:, i]].astype(np.float64) for i in range(3))
     faces = np.cross(b - a, c - a)

@@ -1,0 +1,217 @@
+"""Clips and motions as animations of a file that is being written.
+
+Source: glTF 2.0 Specification, section 3.11.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from keypose.io.gltf.buffers import Buffers
+from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.hierarchy import OWN
+from keypose.io.gltf.keyframes import Track, join, track_of
+from keypose.math import quat
+from keypose.model import Channel, Character, Clip, Curve, CurveKind, Extrapolation, Interpolation, Motion, Property
+
+NAMES = {Interpolation.STEP: "STEP", Interpolation.LINEAR: "LINEAR", Interpolation.HERMITE: "CUBICSPLINE"}
+WXYZ_TO_XYZW = [1, 2, 3, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenCharacter:
+    """A character whose nodes are in the file."""
+
+    character: Character
+    first_node: int
+    morph_nodes: Sequence[tuple[int, NDArray[np.int32]]]  # nodes with morph targets, and the channels that drive them
+
+
+@dataclass(slots=True)
+class _Item:
+    """An animation under way."""
+
+    channels: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    samplers: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    known: dict[tuple[int, int, str], int] = field(default_factory=dict[tuple[int, int, str], int])
+    end_s: float = 0.0
+
+
+class AnimationWriter:
+    """Collects animations for the characters of a file."""
+
+    def __init__(self, buffers: Buffers, characters: Sequence[WrittenCharacter], notes: Notes) -> None:
+        self._buffers, self._characters, self._notes = buffers, characters, notes
+        self.animations: list[dict[str, Any]] = []
+
+    def add(self, animation: Clip | Motion) -> None:
+        """Write one animation for every character that has its joints or morphs."""
+        if isinstance(animation, Motion):
+            clip, extras = clip_of(animation), {"rate_hz": animation.rate_hz, "frames": animation.frame_count}
+            if animation.events:
+                self._notes.add(f"animation '{animation.name}': {len(animation.events)} events were dropped")
+        else:
+            clip, extras = animation, {} if animation.rate_hz is None else {"rate_hz": animation.rate_hz}
+        shift = min(clip.start_s, 0.0)
+        if shift < 0:
+            self._notes.add(f"animation '{clip.name}': it was moved by {-shift:g} s because glTF's time starts at 0")
+            extras["start_s"] = shift
+        item = _Item()
+        for written in self._characters:
+            self._for_character(item, written, clip, shift, isinstance(animation, Motion))
+        known = {n for w in self._characters for n in (*w.character.skeleton.names, *w.character.morph_names)}
+        unknown = sorted({c.target for c in clip.curves} - known)
+        if unknown:
+            shown = ", ".join(unknown[:6]) + (", …" if len(unknown) > 6 else "")
+            self._notes.add(f"animation '{clip.name}': {len(unknown)} targets do not exist and were dropped: {shown}")
+        if isinstance(animation, Motion) and self._characters:
+            self._for_resting(item, self._characters[0], animation, shift)
+        if not item.channels:
+            self._notes.add(f"animation '{clip.name}' moves nothing in this file and was dropped")
+            return
+        result: dict[str, Any] = {"name": clip.name} if clip.name else {}
+        result |= {"channels": item.channels, "samplers": item.samplers}
+        if extras:
+            result["extras"] = {OWN: extras}
+        self.animations.append(result)
+
+    def _for_character(
+        self, item: _Item, written: WrittenCharacter, clip: Clip, shift: float, without_rest: bool
+    ) -> None:
+        character = written.character
+        joints = {name: joint for joint, name in enumerate(character.skeleton.names)}
+        morphs = {name: morph for morph, name in enumerate(character.morph_names)}
+        weights: dict[int, Curve] = {}
+        for channel, curve in clip.curves.items():
+            if curve.before is not Extrapolation.HOLD or curve.after is not Extrapolation.HOLD:
+                self._notes.add(
+                    f"animation '{clip.name}': glTF holds the first and last key; other extrapolation was dropped"
+                )
+            if channel.property is Property.WEIGHT:
+                if channel.target in morphs:
+                    weights[morphs[channel.target]] = curve
+            elif channel.target in joints:
+                if without_rest and _rests(curve, character, joints[channel.target], channel.property):
+                    continue
+                track = track_of(curve)
+                if len(set(curve.modes[:-1].tolist())) > 1:
+                    self._notes.add(f"animation '{clip.name}': curves of mixed interpolation got additional keys")
+                rotation = channel.property is Property.ROTATION
+                node = written.first_node + joints[channel.target]
+                self._channel(item, node, channel.property.value, track, shift, rotation)
+        if weights:
+            rest = np.asarray(character.rest_morph_weights, np.float32)
+            for node, channels in written.morph_nodes:
+                driven = [weights.get(int(c)) for c in channels]
+                if any(c is not None for c in driven):
+                    start = min(float(c.times_s[0]) for c in driven if c is not None)
+                    still = [
+                        Track(np.array([start]), rest[int(c)].reshape(1, 1), Interpolation.LINEAR) for c in channels
+                    ]
+                    tracks = [s if c is None else track_of(c) for c, s in zip(driven, still, strict=True)]
+                    self._channel(item, node, "weights", join(tracks), shift, False)
+
+    def _for_resting(self, item: _Item, written: WrittenCharacter, motion: Motion, shift: float) -> None:
+        """Keep the length of a motion whose last frames all channels leave out because they rest."""
+        end = motion.start_s + motion.duration_s
+        skeleton = written.character.skeleton
+        names = [n for n in skeleton.names if n in motion.joint_names]
+        if (item.channels and item.end_s >= end - 1e-9) or not names:
+            return
+        node = written.first_node + skeleton.index(names[0])
+        taken = {(c["target"]["node"], c["target"]["path"]) for c in item.channels}
+        for path in ("rotation", "translation", "scale"):
+            if (node, path) not in taken:
+                rest = getattr(skeleton.rest, f"{path}s")[skeleton.index(names[0])]
+                times = np.array([motion.start_s, end] if end > motion.start_s else [end])
+                track = Track(times, np.tile(rest, (len(times), 1)), Interpolation.LINEAR)
+                self._channel(item, node, path, track, shift, path == "rotation")
+                return
+
+    def _channel(self, item: _Item, node: int, path: str, track: Track, shift: float, rotation: bool) -> None:
+        times = (track.times_s - shift).astype(np.float32)
+        kept = np.concatenate([times[:-1] < times[1:], [True]])
+        if not np.all(kept):
+            self._notes.add(f"{int(np.sum(~kept))} keys were too close in time for single precision and were dropped")
+        mode = track.mode
+        values = _filed(track.values, rotation)
+        if mode is Interpolation.HERMITE and len(times[kept]) > 1:
+            stacked = np.stack(
+                [_filed(t, rotation) for t in (track.in_tangents, track.values, track.out_tangents) if t is not None],
+                axis=1,
+            )
+            values = stacked[kept].reshape(-1, values.shape[1])
+        else:
+            values = values[kept]
+            if rotation:
+                values = _unit(values)
+            mode = Interpolation.LINEAR if mode is Interpolation.HERMITE else mode
+        if path == "weights":
+            values = values.reshape(-1, 1)
+        input = self._buffers.keyframes(times[kept][:, None], bounds=True)
+        output = self._buffers.keyframes(np.ascontiguousarray(values))
+        key = (input, output, NAMES[mode])
+        if key not in item.known:
+            sampler: dict[str, Any] = {"input": input, "output": output}
+            if mode is not Interpolation.LINEAR:
+                sampler["interpolation"] = NAMES[mode]
+            item.known[key] = len(item.samplers)
+            item.samplers.append(sampler)
+        item.channels.append({"sampler": item.known[key], "target": {"node": node, "path": path}})
+        item.end_s = max(item.end_s, float(track.times_s[-1]))
+
+
+def _rests(curve: Curve, character: Character, joint: int, property: Property) -> bool:
+    """Whether a curve only says what the rest pose says already."""
+    rest = getattr(character.skeleton.rest, f"{property.value}s")[joint]
+    return curve.key_count <= 2 and bool(np.all(np.asarray(curve.values, np.float32) == np.asarray(rest, np.float32)))
+
+
+def _filed(values: NDArray[Any], rotation: bool) -> NDArray[np.float32]:
+    filed = np.asarray(values, np.float32)
+    return np.ascontiguousarray(filed[:, WXYZ_TO_XYZW] if rotation else filed)
+
+
+def _unit(rotations: NDArray[np.float32]) -> NDArray[np.float32]:
+    lengths = np.linalg.norm(rotations.astype(np.float64), axis=1)
+    off = np.abs(lengths - 1) > 1e-5
+    return np.where(off[:, None], rotations / np.where(off, lengths, 1.0)[:, None], rotations).astype(np.float32)
+
+
+def clip_of(motion: Motion) -> Clip:
+    """A motion as linear curves; what stands still gets a key at each end."""
+    pose = motion.pose
+    times = motion.times_s
+    curves: dict[Channel, Curve] = {}
+    arrays: Mapping[Property, NDArray[Any]] = {
+        Property.TRANSLATION: np.asarray(pose.translations),
+        Property.ROTATION: np.asarray(pose.rotations),
+        Property.SCALE: np.asarray(pose.scales),
+    }
+    for property, array in arrays.items():
+        frames = np.broadcast_to(array, (motion.frame_count, *array.shape[-2:]))
+        still = np.all(frames == frames[:1], axis=(0, 2))
+        kind = CurveKind.ROTATION if property is Property.ROTATION else CurveKind.VECTOR
+        for joint, name in enumerate(motion.joint_names):
+            values = frames[:, joint]
+            if property is Property.ROTATION:
+                values = np.asarray(quat.align_signs(values))
+            curves[Channel(name, property)] = _curve(times, values, bool(still[joint]), kind)
+    weights = motion.morph_weights
+    if weights is not None:
+        for morph, name in enumerate(motion.morph_names):
+            values = np.asarray(weights)[:, morph : morph + 1]
+            still = bool(np.all(values == values[:1]))
+            curves[Channel(name, Property.WEIGHT)] = _curve(times, values, still, CurveKind.SCALAR)
+    return Clip(curves, motion.name, motion.rate_hz)
+
+
+def _curve(times: NDArray[np.float64], values: NDArray[Any], still: bool, kind: CurveKind) -> Curve:
+    if still and len(times) > 1:
+        times, values = times[[0, -1]], values[[0, -1]]
+    return Curve(times, values, Interpolation.LINEAR, kind=kind)
