@@ -29,7 +29,7 @@ _SERIES_BELOW = 0.01  # of x²: there the series are exact to float64 and the di
 def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
     """The namespace and the named inputs as floating-point arrays, checked to end in the given axes.
 
-    Lists, numbers and integer arrays take the precision (and the device) of the floating-point arrays beside them,
+    Lists, numbers, NumPy scalars and integer arrays take the precision (and the device) of the floating-point arrays beside them,
     else float64.
 
     Raises:
@@ -37,10 +37,13 @@ def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
             to different libraries.
     """
     values = [value for value, _ in named.values()]
-    given = [v for v in values if hasattr(v, "shape")]
-    if not given:
-        values = [np.asarray(v, np.float64) for v in values]
-        given = values
+    # NumPy's scalars count as plain numbers beside arrays: a u from np.linspace goes with tensors, too.
+    given = [v for v in values if hasattr(v, "shape") and not isinstance(v, np.generic)]
+    if given:
+        values = [v.item() if isinstance(v, np.generic) else v for v in values]
+    else:
+        values = [np.asarray(v) if isinstance(v, np.generic) else v for v in values]
+        given = [v for v in values if isinstance(v, np.ndarray)] or [np.asarray(0.0)]
     try:
         xp = namespace(*given)
     except TypeError:

@@ -25,7 +25,7 @@ CONVENTIONS: tuple[str, ...] = (*_TAIT_BRYAN, *_PROPER, *(o.lower() for o in (*_
 """The 24 orders: 12 intrinsic (capitals), then 12 extrinsic (small letters)."""
 
 # Below this multiple of eps the undetermined combination of the outer angles is only rounding noise.
-_LOCK_EPS = 32
+_LOCK_EPS = 16
 
 
 def to_quat(angles: Array, order: str) -> Array:

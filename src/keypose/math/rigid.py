@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from keypose.arrays import Array
 from keypose.math import quat
-from keypose.math.elementary import beside, cross, dot, eps, join, norm, parts, perpendiculars, take, unit
+from keypose.math.elementary import beside, cross, dot, eps, join, norm, parts, take, unit
 
 
 def from_trs(translation: Array, rotation: Array, scale: Array | None = None) -> Array:
@@ -45,7 +47,8 @@ def to_trs(matrix: Array) -> tuple[Array, Array, Array]:
 
     from_trs(*to_trs(m)) is m for every product T R S, also with negative or zero scales:
     a negative determinant is put into the scale of X (always X, so that neighbouring frames agree), and an axis whose
-    scale is zero is completed from the others to a right-handed frame; where nothing is left the rotation is the identity.
+    scale is zero is completed from the other two to a right-handed frame. Where only one is left, the rotation is the
+    shortest that leads to it; where none is left, the identity.
     Shear, which TRS cannot hold, is dropped: the X axis keeps its direction and Y stays in the plane of X and Y.
     """
     xp, m = take(matrix=(matrix, (4, 4)))
@@ -107,16 +110,29 @@ def _complete_frame(xp: Any, x: Array, y: Array, z: Array) -> tuple[Array, Array
     noise = 4 * eps(xp, x)
 
     def missing(v: Array) -> Array:
-        return (dot(xp, v, v) <= noise * noise)[..., None]
+        return dot(xp, v, v) <= noise * noise
 
-    # X: itself, else from y and z, else perpendicular to the only one left, else X.
-    from_yz = cross(xp, y, z)
-    left = xp.where(missing(y), z, y)
-    left = xp.where(missing(left), beside(xp, (0.0, 0.0, 1.0), x), left)
-    other = xp.where(missing(from_yz), perpendiculars(xp, left)[0], from_yz)
-    x = unit(xp, xp.where(missing(x), other, x))
-    # The plane: from y, else from z, else a fixed perpendicular.
-    normal_y, y_from_z = cross(xp, x, y), cross(xp, z, x)
-    normal_z = cross(xp, x, xp.where(missing(y_from_z), perpendiculars(xp, x)[1], y_from_z))
-    z = unit(xp, xp.where(missing(normal_y), normal_z, normal_y))
+    def choose(condition: Array, a: Array, b: Array) -> Array:
+        return xp.where(condition[..., None], a, b)
+
+    normal = cross(xp, x, y)
+    lost = missing(normal)  # x or y is missing, or they are parallel
+    if not isinstance(x, np.ndarray) or np.any(lost):
+        # X: itself, else from y and z, else where the shortest rotation to the only axis left takes it.
+        from_yz = cross(xp, y, z)
+        by_y, by_z = (_led_by(xp, i, axis)[0] for i, axis in ((1, y), (2, z)))
+        alone = choose(missing(y), by_z, by_y)
+        x = choose(missing(x), choose(missing(from_yz), alone, unit(xp, from_yz)), x)
+        # The normal of X and Y: from y, else from z, else where the shortest rotation to x takes Z.
+        normal_y, y_from_z = cross(xp, x, y), cross(xp, z, x)
+        last = choose(missing(y_from_z), _led_by(xp, 0, x)[2], cross(xp, x, y_from_z))
+        normal = choose(missing(normal_y), last, normal_y)
+    z = unit(xp, normal)
     return x, cross(xp, z, x), z
+
+
+def _led_by(xp: Any, index: int, axis: Array) -> tuple[Array, ...]:
+    """X, Y, Z after the shortest rotation that takes the one of that index to ``axis``; unchanged where it is zero."""
+    basis = beside(xp, [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)], axis)
+    turned = quat.to_matrix(quat.from_two_vectors(basis[index, :], axis))
+    return turned[..., 0], turned[..., 1], turned[..., 2]
