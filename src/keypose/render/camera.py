@@ -83,9 +83,12 @@ def frame(points: Floats, camera: Camera, aspect: float) -> tuple[Floats, float]
 
 
 class Framing:
-    """The views of all pictures of a performance: one fixed camera, or one that travels with the subject."""
+    """The views of all pictures of a performance: one fixed camera, or one that travels with the subject.
 
-    def __init__(self, stage: Stage, camera: Camera, aspect: float) -> None:
+    With ``turning`` the camera can also go round: the subject fits from every side.
+    """
+
+    def __init__(self, stage: Stage, camera: Camera, aspect: float, turning: bool = False) -> None:
         self._stage, self._camera, self._aspect = stage, camera, aspect
         follows = camera.follow
         if follows is None:
@@ -93,7 +96,12 @@ class Framing:
         self._track_times, self._track = self._smooth_path() if follows else (np.zeros(1), np.zeros((1, 3)))
         moved = stage.survey_points.astype(np.float64) - self._track_at(stage.survey_times)[:, None]
         points = moved.reshape(-1, 3)
+        if turning:
+            points = _turned(points, (points.min(axis=0) + points.max(axis=0)) / 2)
         eye, self._view_height = frame(points, camera, aspect)
+        right, up = _axes(direction(camera.azimuth_deg, camera.elevation_deg))
+        # of the subject as the camera sees it: width over height
+        self.aspect = float(np.ptp(points @ right)) / max(float(np.ptp(points @ up)), 1e-12)
         back = direction(camera.azimuth_deg, camera.elevation_deg)
         low, high = points.min(axis=0), points.max(axis=0)
         if camera.target is not None:
@@ -104,22 +112,26 @@ class Framing:
         elif camera.distance is not None:
             middle = (low + high) / 2
             eye = eye + (camera.distance - float((eye - middle) @ back)) * back
-        self._eye, self._back = eye, back
+        self._eye = eye
         self._center = (low + high) / 2
         self._reach = float(np.linalg.norm(high - low)) / 2
         # the key light's box holds the subject wherever it is: measured around the path of its roots
         around = stage.survey_points.astype(np.float64) - stage.path(stage.survey_times)[:, None]
         self._middle = (around.min(axis=(0, 1)) + around.max(axis=(0, 1))) / 2
-        self._radius = 1.03 * float(np.linalg.norm(around - self._middle, axis=2).max()) or 1.0
+        self._radius = 1.1 * float(np.linalg.norm(around - self._middle, axis=2).max()) or 1.0
 
-    def views(self, times_s: Floats) -> list[View]:
-        """The views at T times."""
+    def views(self, times_s: Floats, angles_deg: Floats | None = None) -> list[View]:
+        """The views at T times, the camera gone round by T angles."""
         shifts, middles = self._track_at(times_s), self._stage.path(times_s) + self._middle
-        return [self._view(shift, middle) for shift, middle in zip(shifts, middles, strict=True)]
+        angles = np.zeros(len(times_s)) if angles_deg is None else angles_deg
+        return [self._view(s, m, float(a)) for s, m, a in zip(shifts, middles, angles, strict=True)]
 
-    def _view(self, shift: Floats, middle: Floats) -> View:
-        stage, camera, back = self._stage, self._camera, self._back
-        eye, center, radius = self._eye + shift, self._center + shift, self._radius
+    def _view(self, shift: Floats, middle: Floats, angle_deg: float) -> View:
+        stage = self._stage
+        camera = self._camera.turned(angle_deg)
+        back = direction(camera.azimuth_deg, camera.elevation_deg)
+        center, radius = self._center + shift, self._radius
+        eye = center + _turn(angle_deg) @ (self._eye - self._center)
         distance = float((eye - center) @ back)
         # depth precision follows the subject; far enough for the floor to fade out before it ends
         near = max(distance - 1.5 * self._reach, 0.02 * max(distance, self._reach), 1e-6)
@@ -173,6 +185,23 @@ class Framing:
                 padded = np.concatenate([head, path, tail])
                 path = np.stack([np.convolve(padded[:, c], weights, "valid") for c in range(3)], axis=1)
         return times, path
+
+
+def _turn(angle_deg: float) -> Floats:
+    """Rotation about the vertical, as azimuths grow."""
+    sine, cosine = np.sin(np.radians(angle_deg)), np.cos(np.radians(angle_deg))
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
+def _turned(points: Floats, center: Floats) -> Floats:
+    """The points as they are seen from all around."""
+    around = points - center
+    # what is farthest from the axis at each height says it all
+    order = np.argsort(-np.hypot(around[:, 0], around[:, 2]), kind="stable")
+    level = np.floor((around[:, 1] - around[:, 1].min()) / max(float(np.ptp(around[:, 1])), 1e-12) * 64)
+    _, first = np.unique(level[order], return_index=True)
+    kept = np.concatenate([around[order[first]], around[[around[:, 1].argmin(), around[:, 1].argmax()]]])
+    return np.concatenate([kept @ _turn(angle).T for angle in range(0, 360, 5)]) + center
 
 
 def _axes(back: Floats) -> tuple[Floats, Floats]:

@@ -222,15 +222,24 @@ class GlRenderer:
         ctx.disable(ctx.BLEND)
         ctx.enable(ctx.DEPTH_TEST)
         ctx.depth_func = "<="
+        ghosts = [m for m in self.meshes if m.surface.cast.ghost > 0]
         solid = [m for m in self.meshes if not m.surface.blended]
-        glass = [m for m in self.meshes if m.surface.blended]
+        glass = [m for m in self.meshes if m.surface.blended and m.surface.cast.ghost == 0]
+        if ghosts:  # behind the subject, whatever the depth: they are drawn first, and only the floor's depth stays
+            self._backdrop()
+            for mesh in ghosts:
+                self._ghost(mesh, moment)
+            self._hide()
+            self.drawing.clear(depth=1.0)
+            self._backdrop()
+            self._show()
         for mesh in solid:
             self._surface(mesh, moment)
-        self._backdrop()
-        ctx.enable(ctx.DEPTH_TEST | ctx.BLEND)
-        ctx.blend_func = ctx.ONE, ctx.ONE_MINUS_SRC_ALPHA
+        if not ghosts:
+            self._backdrop()
+        self._blend()
         for mesh in self._far_to_near(glass, moment, view):
-            self._glass(mesh, moment)
+            self._surface(mesh, moment)
         ctx.disable(ctx.BLEND)
         ctx.copy_framebuffer(self.resolved, self.drawing)
         self.final.use()
@@ -345,13 +354,24 @@ class GlRenderer:
         mesh.draw.render()
         self.compared.clear(1)
 
-    def _glass(self, mesh: _Mesh, moment: Moment) -> None:
-        if mesh.surface.cast.ghost > 0:
-            # only a ghost's nearest surface shows: its depth goes first
-            self.drawing.color_mask = (False, False, False, False)
-            self._surface(mesh, moment)
-            self.drawing.color_mask = (True, True, True, True)
+    def _ghost(self, mesh: _Mesh, moment: Moment) -> None:
+        # only a ghost's nearest surface shows: its depth goes first
+        self._hide()
         self._surface(mesh, moment)
+        self._show()
+        self._blend()
+        self._surface(mesh, moment)
+        self.ctx.disable(self.ctx.BLEND)
+
+    def _hide(self) -> None:
+        self.drawing.color_mask = (False, False, False, False)
+
+    def _show(self) -> None:
+        self.drawing.color_mask = (True, True, True, True)
+
+    def _blend(self) -> None:
+        self.ctx.enable(self.ctx.BLEND)
+        self.ctx.blend_func = self.ctx.ONE, self.ctx.ONE_MINUS_SRC_ALPHA
 
     def _far_to_near(self, meshes: list[_Mesh], moment: Moment, view: View) -> list[_Mesh]:
         def depth(mesh: _Mesh) -> float:
@@ -359,9 +379,7 @@ class GlRenderer:
             middle = np.asarray(mesh.surface.part.mesh.positions).mean(axis=0)
             return float((matrix[:3, :3] @ middle + matrix[:3, 3] - view.eye) @ view.forward)
 
-        # ghosts in the order of the stage, farthest moment first; then glass from the back to the front
-        ghosts = [m for m in meshes if m.surface.cast.ghost > 0]
-        return ghosts + sorted((m for m in meshes if m.surface.cast.ghost == 0), key=depth, reverse=True)
+        return sorted(meshes, key=depth, reverse=True)
 
     def _backdrop(self) -> None:
         ctx = self.ctx
@@ -374,9 +392,9 @@ class GlRenderer:
             self.soft[0][0].use(1)
             self.near_floor[0][0].use(2)
             if self.settings.transparent:
-                ctx.enable(ctx.BLEND)
-                ctx.blend_func = ctx.ONE, ctx.ONE_MINUS_SRC_ALPHA
+                self._blend()
             self.screens["ground"].render(ctx.TRIANGLE_STRIP, 4)
+            ctx.disable(ctx.BLEND)
         if not self.settings.transparent:
             self.screens["sky"].render(ctx.TRIANGLES, 3)
 

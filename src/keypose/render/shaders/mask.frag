@@ -11,9 +11,12 @@ void main() {
     cover = vec2(0);
     for (int y = 0; y < block; ++y) {
         for (int x = 0; x < block; ++x) {
-            float gap = (floor_depth - texelFetch(depth_map, corner + ivec2(x, y), 0).r) * 4.0;
-            if (gap > 0.0) cover += vec2(1.0, gap);
+            float depth = texelFetch(depth_map, corner + ivec2(x, y), 0).r;
+            float gap = (floor_depth - depth) * 4.0;
+            if (depth < 1.0 && gap > 0.0) cover += vec2(1.0, gap);
         }
     }
-    cover /= float(block * block);
+    // nothing at the rim, so that nothing is smeared outwards from it
+    float inside = step(abs(at.x - 0.5), 0.49) * step(abs(at.y - 0.5), 0.49);
+    cover *= inside / float(block * block);
 }
