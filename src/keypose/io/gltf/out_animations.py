@@ -5,19 +5,19 @@ Source: glTF 2.0 Specification, section 3.11.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from keypose.evaluate import to_clip
 from keypose.io.gltf.buffers import Buffers
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.hierarchy import OWN
 from keypose.io.gltf.keyframes import Track, join, track_of
-from keypose.math import quat
-from keypose.model import Channel, Character, Clip, Curve, CurveKind, Extrapolation, Interpolation, Motion, Property
+from keypose.model import Character, Clip, Curve, Extrapolation, Interpolation, Motion, Property
 
 NAMES = {Interpolation.STEP: "STEP", Interpolation.LINEAR: "LINEAR", Interpolation.HERMITE: "CUBICSPLINE"}
 WXYZ_TO_XYZW = [1, 2, 3, 0]
@@ -184,34 +184,15 @@ def _unit(rotations: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def clip_of(motion: Motion) -> Clip:
-    """A motion as linear curves; what stands still gets a key at each end."""
-    pose = motion.pose
-    times = motion.times_s
-    curves: dict[Channel, Curve] = {}
-    arrays: Mapping[Property, NDArray[Any]] = {
-        Property.TRANSLATION: np.asarray(pose.translations),
-        Property.ROTATION: np.asarray(pose.rotations),
-        Property.SCALE: np.asarray(pose.scales),
+    """A motion as linear curves with a key on every frame; what stands still gets one at each end."""
+    clip = to_clip(motion, reduce_constant=True)
+    ends = motion.times_s[[0, -1]] if motion.frame_count > 1 else None
+    if ends is None:
+        return clip
+    curves = {
+        channel: Curve(ends, np.repeat(curve.values, 2, axis=0), Interpolation.LINEAR, kind=curve.kind)
+        if curve.key_count == 1
+        else curve
+        for channel, curve in clip.curves.items()
     }
-    for property, array in arrays.items():
-        frames = np.broadcast_to(array, (motion.frame_count, *array.shape[-2:]))
-        still = np.all(frames == frames[:1], axis=(0, 2))
-        kind = CurveKind.ROTATION if property is Property.ROTATION else CurveKind.VECTOR
-        for joint, name in enumerate(motion.joint_names):
-            values = frames[:, joint]
-            if property is Property.ROTATION:
-                values = np.asarray(quat.align_signs(values))
-            curves[Channel(name, property)] = _curve(times, values, bool(still[joint]), kind)
-    weights = motion.morph_weights
-    if weights is not None:
-        for morph, name in enumerate(motion.morph_names):
-            values = np.asarray(weights)[:, morph : morph + 1]
-            still = bool(np.all(values == values[:1]))
-            curves[Channel(name, Property.WEIGHT)] = _curve(times, values, still, CurveKind.SCALAR)
-    return Clip(curves, motion.name, motion.rate_hz)
-
-
-def _curve(times: NDArray[np.float64], values: NDArray[Any], still: bool, kind: CurveKind) -> Curve:
-    if still and len(times) > 1:
-        times, values = times[[0, -1]], values[[0, -1]]
-    return Curve(times, values, Interpolation.LINEAR, kind=kind)
+    return Clip(curves, clip.name, clip.rate_hz)

@@ -20,8 +20,8 @@ from keypose.io.gltf.out_materials import MaterialWriter, plain_json
 from keypose.io.gltf.surfaces import WEIGHT_TOLERANCE, smooth_normals
 from keypose.model import Character, Mesh, Part, Skin
 
-# The Khronos validator's limit for the squared length of normals and tangents is a little wider than this.
-UNIT_TOLERANCE = 2e-3
+# How far normals and tangents may be from unit length before they are scaled; the Khronos validator allows 6.7e-3.
+UNIT_TOLERANCE = 6e-3
 
 
 @dataclass(frozen=True, slots=True)
