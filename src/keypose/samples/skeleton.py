@@ -51,8 +51,8 @@ _LEG = (
     ("LeftToeBase", "LeftFoot", (0.118, 0.026, 0.098)),
 )
 
-EYE_CENTRE = (0.0425, 1.5385, 0.0685)
-EYE_RADIUS = 0.0285
+EYE_CENTRE = (0.0385, 1.5415, 0.0645)
+EYE_RADIUS = 0.031
 HEAD_TOP = (0.0, 1.69, -0.02)
 TOE_END = (0.127, 0.022, 0.172)
 

@@ -1,0 +1,401 @@
+"""The built-in human's clothes as control cages: bomber jacket, trousers with turned-up hems, sneakers.
+
+Only the left half is written down; `Cage.mirrored` adds the right one. Places are metres in the rest pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from keypose.arrays import Floats
+from keypose.samples.skeleton import hand_axes, rest_positions
+from keypose.samples.subdivision import Cage
+
+_HALF = np.arange(9) * np.pi / 8  # from the front middle over the left side to the back middle
+
+
+def _half_ring(y: float, width: float, front: float, back: float, z: float = 0.0, boxy: float = 0.88) -> Floats:
+    """Nine points of the left half of a torso section, (9, 3); ``boxy`` < 1 flattens front and back."""
+    sine, cosine = np.sin(_HALF), np.cos(_HALF)
+    x = width * np.abs(sine) ** boxy
+    depth = np.where(cosine > 0, front, back) * np.sign(cosine) * np.abs(cosine) ** boxy
+    x[[0, 8]] = 0.0
+    return np.stack([x, np.full(9, y), z + depth], 1)
+
+
+def _mix(a: Mapping[str, float], b: Mapping[str, float], u: float) -> dict[str, float]:
+    return {j: (1 - u) * a.get(j, 0.0) + u * b.get(j, 0.0) for j in dict.fromkeys([*a, *b])}
+
+
+def _spine(y: float) -> dict[str, float]:
+    """Weights of the trunk by height: each vertebra takes over smoothly from the one below."""
+    heights = (0.96, 1.045, 1.15, 1.26)
+    names = ("Hips", "Spine", "Spine1", "Spine2")
+    shares = np.interp(y, heights, np.arange(4.0))
+    low = int(min(np.floor(shares), 2))
+    u = float(shares - low)
+    return {names[low]: 1 - u, names[low + 1]: u}
+
+
+# --- jacket ----------------------------------------------------------------------------------------------------------
+
+# height, half width, front, back
+_TRUNK = (
+    (0.955, 0.138, 0.096, 0.102),
+    (0.922, 0.147, 0.104, 0.110),
+    (0.926, 0.156, 0.111, 0.117),
+    (0.945, 0.157, 0.111, 0.117),
+    (0.972, 0.155, 0.110, 0.115),
+    (0.981, 0.157, 0.112, 0.116),
+    (0.990, 0.168, 0.123, 0.124),
+    (1.025, 0.171, 0.127, 0.124),
+    (1.085, 0.161, 0.120, 0.114),
+    (1.145, 0.158, 0.121, 0.113),
+    (1.198, 0.163, 0.126, 0.117),
+)
+_RIB_ROWS = 5
+
+_CHEST = np.array(
+    [
+        (0, 1.245, 0.125), (0.066, 1.245, 0.121), (0.120, 1.245, 0.098), (0.153, 1.243, 0.054), (0.166, 1.238, -0.004),
+        (0.156, 1.243, -0.060), (0.124, 1.247, -0.098), (0.067, 1.250, -0.117), (0, 1.250, -0.120),
+    ]
+)  # fmt: skip
+_ARMHOLE = np.array(
+    [
+        (0, 1.292, 0.115), (0.062, 1.294, 0.112), (0.114, 1.299, 0.091), (0.150, 1.306, 0.054), (0.170, 1.300, -0.010),
+        (0.151, 1.308, -0.074), (0.117, 1.308, -0.103), (0.065, 1.308, -0.119), (0, 1.308, -0.120),
+    ]
+)  # fmt: skip
+_SHOULDERS = np.array(
+    [
+        (0, 1.333, 0.093), (0.053, 1.336, 0.090), (0.097, 1.349, 0.073), (0.136, 1.367, 0.031), (0.147, 1.3795, -0.016),
+        (0.137, 1.372, -0.061), (0.100, 1.363, -0.090), (0.055, 1.360, -0.106), (0, 1.358, -0.108),
+    ]
+)  # fmt: skip
+_NECKLINE = np.array(
+    [
+        (0, 1.358, 0.064), (0.031, 1.362, 0.059), (0.055, 1.373, 0.042), (0.069, 1.388, 0.013), (0.073, 1.398, -0.020),
+        (0.067, 1.402, -0.050), (0.052, 1.404, -0.073), (0.029, 1.405, -0.086), (0, 1.405, -0.090),
+    ]
+)  # fmt: skip
+
+
+def _between(before: Floats, a: Floats, b: Floats, after: Floats) -> Floats:
+    """The middle of the Catmull-Rom curve from ``a`` to ``b``."""
+    return (9 * (a + b) - before - after) / 16
+
+
+def _shoulder_weights(k: int, row: float) -> dict[str, float]:
+    """Weights of the chest above the armpits; ``row`` is 0 at the armpit, 4 on the shoulder, 6 at the neckline."""
+    chest = {"Spine2": 1.0}
+    lower = {"Spine2": 0.75, "Spine1": 0.25}
+    base = _mix(lower, chest, min(row / 2, 1.0))
+    side = (0.0, 0.05, 0.3, 0.78, 1.0, 0.78, 0.32, 0.06, 0.0)[k]
+    clavicle = side * (0.25, 0.4, 0.58, 0.72, 0.8, 0.6, 0.25)[int(row)]
+    weights = _mix(base, {"LeftShoulder": 1.0}, clavicle)
+    arm = {3: 0.3, 4: 0.42, 5: 0.3, 2: 0.05, 6: 0.06}.get(k, 0.0) * (1.0, 1.0, 1.0, 0.9, 0.62, 0.12, 0.0)[int(row)]
+    weights = _mix(weights, {"LeftArmTwist": 1.0}, arm)
+    return _mix(weights, {"Neck": 1.0}, 0.25 if row == 6 else 0.0)
+
+
+def arm_point(s: float, angle: float, radius: float) -> Floats:
+    """A point at distance ``s`` from the shoulder along the left arm; angle 0 is on top, a quarter turn in front."""
+    places = rest_positions()
+    along, front, palm = hand_axes()
+    shoulder, elbow, wrist = places["LeftArm"], places["LeftForeArm"], places["LeftHand"]
+    upper = float(np.linalg.norm(elbow - shoulder))
+    lower = float(np.linalg.norm(wrist - elbow))
+    if s < upper:
+        centre = shoulder + (elbow - shoulder) * s / upper
+    elif s < upper + lower:
+        centre = elbow + (wrist - elbow) * (s - upper) / lower
+    else:
+        centre = wrist + along * (s - upper - lower)
+    return centre + radius * (np.cos(angle) * -palm + np.sin(angle) * front)
+
+
+# distance along the arm on top and below, radius across the arm and towards the front, group of the quads that follow
+_SLEEVE = (
+    (0.022, 0.094, 0.0600, 0.0600, "sleeve"),
+    (0.078, 0.122, 0.0575, 0.0590, "sleeve"),
+    (0.136, 0.152, 0.0540, 0.0555, "sleeve"),
+    (0.194, 0.196, 0.0515, 0.0530, "sleeve"),
+    (0.234, 0.230, 0.0510, 0.0525, "sleeve"),
+    (0.262, 0.262, 0.0510, 0.0525, "sleeve"),
+    (0.290, 0.294, 0.0505, 0.0515, "sleeve"),
+    (0.336, 0.338, 0.0490, 0.0500, "sleeve"),
+    (0.388, 0.388, 0.0475, 0.0485, "sleeve"),
+    (0.428, 0.428, 0.0465, 0.0470, "sleeve"),
+    (0.449, 0.449, 0.0425, 0.0430, "rib"),
+    (0.455, 0.455, 0.0370, 0.0390, "rib"),
+    (0.476, 0.476, 0.0360, 0.0385, "rib"),
+    (0.495, 0.495, 0.0365, 0.0390, "rib"),
+    (0.500, 0.500, 0.0340, 0.0365, "rib"),
+    (0.490, 0.490, 0.0290, 0.0315, "rib"),
+    (0.452, 0.452, 0.0280, 0.0300, ""),
+)  # fmt: skip
+
+
+def arm_weights(s: float) -> dict[str, float]:
+    """Weights along the free arm: twist joints shed the twist towards the shoulder and gather it towards the wrist."""
+    elbow = 0.262
+    bend = float(np.clip((s - elbow) / 0.085 + 0.5, 0, 1))
+    bend = bend * bend * (3 - 2 * bend)
+    shed = float(np.clip(1 - (s - 0.02) / 0.19, 0, 1))
+    gather = float(np.clip((s - 0.30) / 0.165, 0, 1))
+    upper = {"LeftArmTwist": shed, "LeftArm": 1 - shed}
+    lower = {"LeftForeArm": 1 - gather, "LeftForeArmTwist": gather}
+    hand = float(np.clip((s - 0.475) / 0.05, 0, 1))
+    return _mix(_mix(upper, lower, bend), {"LeftHand": 1.0}, hand)
+
+
+def _sleeve(cage: Cage, hole: Sequence[int]) -> None:
+    previous = list(hole)
+    angles = np.arange(12) * np.pi / 6
+    group = "sleeve"
+    for number, (top, below, across, front, following) in enumerate(_SLEEVE):
+        lean = (1 - np.cos(angles)) / 2
+        along = top + (below - top) * lean
+        points = [
+            arm_point(s, a, 1.0 / np.sqrt((np.cos(a) / across) ** 2 + (np.sin(a) / front) ** 2))
+            for s, a in zip(along, angles, strict=True)
+        ]
+        weights = [arm_weights(float(s)) for s in along]
+        if number < 2:  # the cap of the shoulder and the armpit still follow the trunk a little
+            trunk = {"LeftShoulder": 0.62, "Spine2": 0.38}
+            shares = (0.30 + 0.10 * lean, 0.04 + 0.08 * lean)[number]
+            weights = [_mix(w, trunk, float(u)) for w, u in zip(weights, shares, strict=True)]
+        ring = cage.ring(points, weights)
+        cage.bridge(previous, ring, group)
+        previous, group = ring, following
+
+
+def jacket() -> Cage:
+    """Bomber jacket: groups "body", "sleeve", "rib" (hem, cuffs), "collar" and "zip"."""
+    cage = Cage()
+    rows: list[list[int]] = []
+    for y, width, front, back in _TRUNK:
+        points = _half_ring(y, width, front, back)
+        weights = _spine(y)
+        if y < 1.0:
+            thigh = (0.0, 0.02, 0.04, 0.06, 0.06, 0.06, 0.04, 0.02, 0.0)
+            each = [_mix(weights, {"LeftUpLeg": 1.0}, t * (1.0 - y) / 0.08) for t in thigh]
+            rows.append(cage.ring(points, each))
+        else:
+            rows.append(cage.ring(points, weights))
+    for number, (low, high) in enumerate(zip(rows, rows[1:], strict=False)):
+        cage.bridge(low, high, "rib" if number < _RIB_ROWS else "body", closed=False)
+    trunk_top = np.array([cage.points[i] for i in rows[-1]])
+    upper = [
+        _CHEST,
+        _between(trunk_top, _CHEST, _ARMHOLE, _SHOULDERS),
+        _ARMHOLE,
+        _between(_CHEST, _ARMHOLE, _SHOULDERS, _NECKLINE),
+        _SHOULDERS,
+        (_SHOULDERS + _NECKLINE) / 2 + np.array([0, -0.003, 0]),
+        _NECKLINE,
+    ]
+    yoke: list[list[int]] = []
+    for row, points in enumerate(upper):
+        yoke.append(
+            [
+                cage.add(p, _shoulder_weights(k, row)) if not (k == 4 and 0 < row < 4) else -1
+                for k, p in enumerate(points)
+            ]
+        )
+    cage.bridge(rows[-1], yoke[0], "body", closed=False)
+    for row, (low, high) in enumerate(zip(yoke, yoke[1:], strict=False)):
+        for k in range(8):
+            if row < 4 and k in (3, 4):
+                continue  # the armhole
+            cage.face((low[k], low[k + 1], high[k + 1], high[k]), "body")
+    hole = [yoke[4][4], *(yoke[r][3] for r in (4, 3, 2, 1, 0)), yoke[0][4], *(yoke[r][5] for r in (0, 1, 2, 3, 4))]
+    _sleeve(cage, hole)
+    _collar(cage, yoke[6])
+    return cage.mirrored()
+
+
+def _collar(cage: Cage, neckline: Sequence[int]) -> None:
+    """A ribbed stand-up collar, open a little at the throat."""
+    base = _NECKLINE
+    inward = np.array([0.0, 0.0, -0.016])
+    rows = (  # share of the radius, lift
+        (0.985, 0.004, 1.0),
+        (0.98, 0.018, 1.0),
+        (0.975, 0.031, 0.95),
+        (0.93, 0.0355, 0.9),
+        (0.87, 0.031, 0.9),
+        (0.84, 0.010, 0.9),
+        (0.83, -0.02, 0.9),
+    )
+    previous = list(neckline)
+    for share, lift, open_ in rows:
+        points = base.copy()
+        centre = -inward
+        points = (points - (0, 0, -0.016)) * (share, 1, share) + (0, 0, -0.016)
+        front = np.clip(np.cos(_HALF), 0, 1) ** 2
+        points[:, 1] += lift * (1 - 0.25 * front * open_)
+        points[:, 2] += 0.30 * lift * front - 0.12 * lift * (1 - front) + 0 * centre[1]
+        neck = float(np.clip(0.25 + lift * 8, 0.1, 0.5))
+        ring = cage.ring(points, {"Spine2": 1 - neck, "Neck": neck})
+        cage.bridge(previous, ring, "collar", closed=False)
+        previous = ring
+
+
+# --- trousers --------------------------------------------------------------------------------------------------------
+
+_WAIST = (  # height, half width, front, back, weight of the thigh at front, side, back
+    (1.000, 0.126, 0.088, 0.094, 0.00, 0.00, 0.00),
+    (0.960, 0.140, 0.096, 0.104, 0.00, 0.00, 0.00),
+    (0.918, 0.153, 0.098, 0.113, 0.06, 0.08, 0.06),
+    (0.876, 0.161, 0.094, 0.118, 0.26, 0.30, 0.24),
+)
+_SEAT = np.array(
+    [
+        (0, 0.818, 0.060), (0.052, 0.822, 0.084), (0.106, 0.828, 0.083), (0.151, 0.834, 0.048), (0.168, 0.838, -0.004),
+        (0.157, 0.834, -0.060), (0.114, 0.826, -0.104), (0.054, 0.818, -0.112), (0, 0.808, -0.083),
+    ]
+)  # fmt: skip
+_CROTCH = ((0, 0.797, -0.052), (0, 0.789, -0.012), (0, 0.796, 0.028))  # from the back to the front
+
+# height, radius across, radius in depth, shift in depth
+_LEG_ROWS = (
+    (0.765, 0.0800, 0.0900, -0.006),
+    (0.705, 0.0785, 0.0870, -0.002),
+    (0.635, 0.0745, 0.0810, 0.002),
+    (0.572, 0.0695, 0.0740, 0.003),
+    (0.524, 0.0665, 0.0700, 0.003),
+    (0.486, 0.0655, 0.0690, 0.004),
+    (0.448, 0.0650, 0.0685, 0.001),
+    (0.385, 0.0640, 0.0690, -0.005),
+    (0.310, 0.0620, 0.0675, -0.007),
+    (0.230, 0.0600, 0.0645, -0.004),
+    (0.168, 0.0585, 0.0625, -0.001),
+    (0.152, 0.0580, 0.0620, 0.000),
+    (0.150, 0.0640, 0.0680, 0.000),
+    (0.144, 0.0655, 0.0695, 0.000),
+    (0.116, 0.0655, 0.0695, 0.002),
+    (0.110, 0.0635, 0.0675, 0.002),
+    (0.113, 0.0560, 0.0600, 0.002),
+    (0.160, 0.0520, 0.0560, 0.000),
+)
+_TURN_UP = 11  # the row where the turned-up hem begins
+
+
+def _leg_weights(y: float) -> dict[str, float]:
+    knee = float(np.clip((0.486 - y) / 0.11 + 0.5, 0, 1))
+    knee = knee * knee * (3 - 2 * knee)
+    shed = float(np.clip((y - 0.60) / 0.22, 0, 1))
+    thigh = {"LeftUpLegTwist": shed, "LeftUpLeg": 1 - shed}
+    return _mix(thigh, {"LeftLeg": 1.0}, knee)
+
+
+def trousers() -> Cage:
+    """Trousers: groups "trousers" and "turn_up"."""
+    cage = Cage()
+    rows: list[list[int]] = []
+    around = np.sin(_HALF) ** 2
+    for y, width, front, back, at_front, at_side, at_back in _WAIST:
+        ends = np.where(np.cos(_HALF) > 0, at_front, at_back) * np.clip(np.abs(np.sin(_HALF)) * 2, 0.3, 1)
+        thigh = ends + (at_side - ends) * around
+        trunk = _spine(y)
+        each = [_mix(trunk, {"LeftUpLegTwist": 1.0}, float(t)) for t in thigh]
+        rows.append(cage.ring(_half_ring(y, width, front, back), each))
+    middle = {"Hips": 0.7, "LeftUpLegTwist": 0.15, "RightUpLegTwist": 0.15}
+    shares = (0.0, 0.52, 0.62, 0.66, 0.66, 0.62, 0.52, 0.42, 0.0)
+    seat_weights = [middle if k in (0, 8) else _mix({"Hips": 1}, {"LeftUpLegTwist": 1}, u) for k, u in enumerate(shares)]
+    seat = cage.ring(_SEAT, seat_weights)
+    rows.append(seat)
+    for low, high in zip(rows[1:], rows, strict=False):
+        cage.bridge(low, high, "trousers", closed=False)
+    crotch = cage.ring(_CROTCH, {"Hips": 0.6, "LeftUpLegTwist": 0.2, "RightUpLegTwist": 0.2})
+    previous = [*seat, *crotch]
+    places = rest_positions()
+    hip, knee, ankle = places["LeftUpLeg"], places["LeftLeg"], places["LeftFoot"]
+    angles = np.pi / 2 + (np.arange(12) - 4) * np.pi / 6
+    for number, (y, across, deep, shift) in enumerate(_LEG_ROWS):
+        centre = np.array([np.interp(y, [p[i] for p in ()] or [ankle[1], knee[1], hip[1]], [ankle[i], knee[i], hip[i]]) for i in range(3)])
+        centre[1] = y
+        centre[2] += shift
+        points = np.stack([across * np.sin(angles), np.zeros(12), deep * np.cos(angles)], 1) + centre
+        if number == 0:
+            points[:, 0] = np.maximum(points[:, 0], 0.0125)
+            points[:, 1] += 0.018 * np.clip(np.sin(angles), -1, 1)
+        weights = _leg_weights(y)
+        if number < 2:
+            inner = (1 - np.sin(angles)) / 2
+            share = (0.16 + 0.10 * inner, 0.02 + 0.03 * inner)[number]
+            each = [_mix(weights, {"Hips": 1.0}, float(u)) for u in share]
+            ring = cage.ring(points, each)
+        else:
+            ring = cage.ring(points, weights)
+        cage.bridge(ring, previous, "turn_up" if number > _TURN_UP else "trousers")
+        previous = ring
+    return cage.mirrored()
+
+
+# --- sneakers --------------------------------------------------------------------------------------------------------
+
+# height at heel and toe, heel and toe ends along the foot, half width, boxiness, group of the quads below this row
+_SHOE = (
+    (0.000, 0.004, -0.066, 0.176, 0.034, 0.80, ""),
+    (0.000, 0.006, -0.088, 0.196, 0.0455, 0.80, "sole"),
+    (0.006, 0.012, -0.094, 0.203, 0.0490, 0.80, "sole"),
+    (0.026, 0.024, -0.094, 0.203, 0.0495, 0.80, "sole"),
+    (0.031, 0.027, -0.091, 0.200, 0.0470, 0.82, "sole"),
+    (0.033, 0.029, -0.086, 0.195, 0.0445, 0.82, "upper"),
+    (0.050, 0.048, -0.086, 0.188, 0.0455, 0.84, "upper"),
+    (0.068, 0.066, -0.083, 0.155, 0.0430, 0.90, "upper"),
+    (0.088, 0.084, -0.078, 0.110, 0.0395, 0.95, "upper"),
+    (0.106, 0.104, -0.075, 0.072, 0.0385, 1.00, "upper"),
+    (0.124, 0.126, -0.074, 0.050, 0.0400, 1.00, "trim"),
+    (0.131, 0.133, -0.069, 0.044, 0.0370, 1.00, "trim"),
+    (0.126, 0.128, -0.060, 0.035, 0.0300, 1.00, "trim"),
+    (0.090, 0.090, -0.055, 0.030, 0.0260, 1.00, "trim"),
+)
+
+
+def _shoe_weights(z: float, y: float) -> dict[str, float]:
+    toes = float(np.clip((z - 0.098) / 0.055 + 0.5, 0, 1))
+    toes = toes * toes * (3 - 2 * toes)
+    shin = float(np.clip((y - 0.085) / 0.06, 0, 1)) * 0.55
+    return _mix(_mix({"LeftFoot": 1.0}, {"LeftToeBase": 1.0}, toes), {"LeftLeg": 1.0}, shin)
+
+
+def shoes() -> Cage:
+    """A pair of sneakers: groups "sole", "upper" and "trim"; closed, with the opening turned in."""
+    cage = Cage()
+    angles = np.arange(16) * np.pi / 8
+    ankle = rest_positions()["LeftFoot"]
+    turn = np.deg2rad(5.0)
+    previous: list[int] = []
+    for heel_y, toe_y, heel_z, toe_z, half, boxy, group in _SHOE:
+        sine, cosine = np.sin(angles), np.cos(angles)
+        middle, reach = (heel_z + toe_z) / 2, (toe_z - heel_z) / 2
+        z = middle + reach * np.sign(cosine) * np.abs(cosine) ** boxy
+        share = (z - heel_z) / (toe_z - heel_z)
+        # A foot is widest at the ball and bends inwards: the big toe's side runs straight.
+        broad = 1 + 0.16 * np.sin(np.clip(share, 0, 1) * np.pi * 1.05 - 0.55) * min(reach / 0.13, 1)
+        x = half * broad * np.sign(sine) * np.abs(sine) ** 0.8 - 0.006 * np.sin(np.clip(share, 0, 1) * np.pi)
+        y = heel_y + (toe_y - heel_y) * share
+        y = y + 0.010 * np.clip((z - 0.12) / 0.08, 0, 1) ** 2 * (y < 0.03)  # toe spring
+        local_z = z
+        points = np.stack(
+            [
+                ankle[0] + x * np.cos(turn) + (local_z + 0.02) * np.sin(turn),
+                y,
+                ankle[2] + 0.022 + local_z * np.cos(turn) - x * np.sin(turn),
+            ],
+            1,
+        )
+        ring = cage.ring(points, [_shoe_weights(p[2], p[1]) for p in points])
+        if previous:
+            cage.bridge(previous, ring, group)
+        else:
+            cage.face(ring[::-1], "sole")
+        previous = ring
+    cage.face(previous, "trim")
+    return cage.mirrored()
