@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import pickle
@@ -19,10 +20,14 @@ import numpy as np
 from numba import config, njit
 from numba.core import caching
 from numba.core.codegen import get_host_cpu_features
+from numba.extending import intrinsic as _intrinsic
 
 from keypose.errors import ShapeError
 
 CACHE_LINE = 64
+
+# Functions that write LLVM code; the type checker cannot follow what the decorator makes of them.
+intrinsic: Any = _intrinsic
 
 
 def _compiler_features() -> frozenset[str]:
@@ -131,10 +136,8 @@ class _Cache(caching.FunctionCache):
 def _compiled(fastmath: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath=fastmath)(function)
-        try:
+        with contextlib.suppress(RuntimeError, OSError):  # nowhere to write
             dispatcher._cache = _Cache(function)
-        except (RuntimeError, OSError):  # nowhere to write
-            pass
         return dispatcher
 
     return decorate

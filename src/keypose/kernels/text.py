@@ -63,7 +63,7 @@ def parse_numbers(data: Any, start: int = 0, end: int | None = None) -> tuple[np
     """All numbers of a blank-separated text, with the same bits as Python's float() would give.
 
     Numbers are decimal with optional sign, point and exponent; "nan", "inf" and anything else stop the reading.
-    Blanks are spaces, tabs and line ends.
+    Every byte up to 32 is a blank.
 
     Shapes and units:
         data: bytes, or an array of uint8; ``start`` and ``end`` are byte offsets.

@@ -21,9 +21,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.extending import lower_builtin, models, register_model
 
-from keypose.kernels.runtime import FEATURES, WIDTH
+from keypose.kernels.runtime import FEATURES, WIDTH, intrinsic
 
 FLAGS = ("contract", "nsz")
 _INT = ir.IntType(32)
@@ -224,7 +224,7 @@ def fill(typing, array, number):
 
 
 def _define_operator(op, instruction):
-    @infer_global(op)
+    @infer_global(op)  # pyright: ignore[reportOptionalCall]
     class _Typing(AbstractTemplate):
         def generic(self, args, kws):
             vectors = {a for a in args if isinstance(a, Vector)}

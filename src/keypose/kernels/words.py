@@ -9,12 +9,11 @@ from __future__ import annotations
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from keypose.kernels.runtime import exact_inlined
+from keypose.kernels.runtime import exact_inlined, intrinsic
 from keypose.kernels.vectors import call_llvm, read, write
 
-_BYTE, _WORD, _SIZE = ir.IntType(8), ir.IntType(64), ir.IntType(types.intp.bitwidth)
+_BYTE, _WORD, _SIZE = ir.IntType(8), ir.IntType(64), ir.IntType(np.intp(0).itemsize * 8)
 BLOCK = 64  # bytes looked at by `blank_mask`
 
 CHARACTERS = np.uint64(0x3030303030303030)  # from digits to their characters and back
@@ -71,17 +70,13 @@ store_word = _writer(_WORD, types.uint64)
 
 @intrinsic
 def blank_mask(typing, text, at):
-    """Bit k is set where byte ``at + k`` is a space, tab or line end, for 64 bytes that must all be readable."""
+    """Bit k is set where byte ``at + k`` is a blank, 0 to 32, for 64 bytes that must all be readable."""
 
     def generate(context, builder, sig, args):
         block = ir.VectorType(_BYTE, BLOCK)
 
-        def every(value):
-            return ir.Constant(block, [_BYTE(value)] * BLOCK)
-
         data = read(builder, _pointer(context, builder, sig, args, block), 1)
-        control = builder.icmp_unsigned("<=", builder.sub(data, every(9)), every(4))  # \t \n \v \f \r
-        blank = builder.or_(builder.icmp_unsigned("==", data, every(32)), control)
+        blank = builder.icmp_unsigned("<=", data, ir.Constant(block, [_BYTE(32)] * BLOCK))
         return builder.bitcast(blank, _WORD)
 
     return types.uint64(types.intp, at), generate

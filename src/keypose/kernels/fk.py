@@ -1,0 +1,291 @@
+# pyright: basic
+"""Forward kinematics of whole clips, in float32 and float64.
+
+The frames of a clip are independent, so frames are put in the lanes: W frames of [frame, joint] arrays are transposed
+in registers, the hierarchy is walked once for all of them, and the result is transposed back. Everything between
+stays in the first-level cache.
+
+Parents come before their children; -1 marks a root. Rotations are unit quaternions wxyz.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from keypose.errors import ShapeError
+from keypose.kernels.rotations import load3, load4, quat_matrix, quat_multiply, quat_rotate, store3, store4
+from keypose.kernels.runtime import WIDTH, aligned, inlined, kernel, readable, scratch_like
+from keypose.kernels.vectors import fill, lanes, load_triples, splat, store, transpose
+
+_NONE, _STATIC, _MOVING = 0, 1, 2  # how a kind of local transform is given: not at all, once, or for every frame
+
+
+# --- Python-level entries -------------------------------------------------------------------------------------------------
+
+
+def rotations_positions(
+    parents: Any, rotations: Any, translations: Any, roots: Any | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations and positions of all joints in the model's space.
+
+    Shapes and units: rotations (F, J, 4); translations (F, J, 3), or (J, 3) for bones that keep their lengths; roots,
+    if given, (F, 3) translations of the root joints. Metres. Returns (F, J, 4) and (F, J, 3) in the rotations' type.
+
+    Source: lecture notes, "Skeletal Animation": ``P = R0 (R1 (O2) + O1) + O0``.
+    """
+    clip = _Clip(parents, rotations, translations, None, roots)
+    turned, moved = np.empty(clip.shape(4), clip.dtype), np.empty(clip.shape(3), clip.dtype)
+    if turned.size:
+        _turn_and_move(
+            clip.parents, clip.rotations, clip.translations, clip.moving, clip.roots, clip.has_roots, clip.frames,
+            turned.reshape(-1), moved.reshape(-1),
+        )  # fmt: skip
+    return clip.cut(turned), clip.cut(moved)
+
+
+def matrices(
+    parents: Any, rotations: Any, translations: Any, scales: Any | None = None, roots: Any | None = None
+) -> np.ndarray:
+    """``model_from_joint`` of all joints: products of translation * rotation * scale down the hierarchy.
+
+    Shapes and units: rotations (F, J, 4); translations and scales (F, J, 3) or (J, 3); roots, if given, (F, 3)
+    translations of the root joints. Metres. Returns (F, J, 4, 4) in the rotations' type.
+
+    Source: glTF 2.0 specification, section 3.5.3 (a non-uniform scale above a rotation gives shear).
+    """
+    clip = _Clip(parents, rotations, translations, scales, roots)
+    out = np.empty(clip.shape(16), clip.dtype)
+    if out.size:
+        _chain(
+            clip.parents, clip.rotations, clip.translations, clip.moving, clip.scales, clip.scaling, clip.roots,
+            clip.has_roots, clip.frames, out.reshape(-1),
+        )  # fmt: skip
+    return clip.cut(out).reshape(clip.true_frames, clip.true_joints, 4, 4)
+
+
+def rotations_positions_lanes(
+    parents: Any, rotations: np.ndarray, offsets: Any, roots: np.ndarray, out: np.ndarray | None = None
+) -> np.ndarray:
+    """As `rotations_positions`, with frames left in the lanes, the layout of the kernels.
+
+    Shapes and units: rotations (F, R), where F is a multiple of the lanes L and the R numbers of a frame are 4 J, filled
+    up to a multiple of L (fastest from `runtime.aligned` memory); offsets (J, 3); roots (F / L, 3, L). Returns
+    (F / L, J, 7, L), wxyz and position, in ``out`` if given.
+    """
+    parents, dtype = readable(parents, np.int64), rotations.dtype
+    joints, count = len(parents), lane_count(dtype)
+    frames, row = rotations.shape
+    if row % count or row < 4 * joints or frames % count or roots.shape != (frames // count, 3, count):
+        raise ShapeError(
+            f"rotations: expected a multiple of {count} frames of {-(-4 * joints // count) * count} numbers"
+        )
+    shape = (frames // count, joints, 7, count)
+    if out is None:
+        out = aligned(frames * joints * 7, dtype).reshape(shape)
+    if out.shape != shape or out.dtype != dtype or not out.flags.c_contiguous or len(offsets) != joints:
+        raise ShapeError(f"out: expected {shape} of {dtype}, and {joints} offsets")
+    flat = [readable(a, dtype) for a in (rotations, offsets, roots)]
+    _turn_and_move_lanes(parents, *flat, row, out.reshape(-1))
+    return out
+
+
+def lane_count(dtype: Any) -> int:
+    """How many numbers of this type one vector holds."""
+    return WIDTH if np.dtype(dtype) == np.float32 else WIDTH // 2
+
+
+class _Clip:
+    """Arguments as flat arrays of one type, with at least one vector of frames and of numbers per frame.
+
+    Small clips are filled up with frames and joints that nobody looks at; `cut` takes them off the result.
+    """
+
+    def __init__(self, parents: Any, rotations: Any, translations: Any, scales: Any, roots: Any) -> None:
+        rotations = np.asarray(rotations)
+        self.dtype = np.dtype(np.float32 if rotations.dtype == np.float32 else np.float64)
+        if rotations.ndim != 3 or rotations.shape[2] != 4:
+            raise ShapeError(f"rotations: expected (F, J, 4), got {rotations.shape}")
+        self.true_frames, self.true_joints = rotations.shape[:2]
+        count = lane_count(self.dtype)
+        self.frames = max(self.true_frames, count) if self.true_frames else 0
+        self.joints = max(self.true_joints, -(-count // 3)) if self.true_joints else 0
+        parents = np.asarray(parents)
+        if parents.shape != (self.true_joints,) or np.any(parents >= np.arange(self.true_joints)):
+            raise ShapeError(f"parents: expected {self.true_joints} parents that come before their children")
+        self.parents = readable(self._filled(parents, (self.joints,)), np.int64)
+        self.rotations = self._flat(rotations, 4, "rotations")[0]
+        self.translations, self.moving = self._flat(translations, 3, "translations")
+        self.scales, self.scaling = self._flat(scales, 3, "scales")
+        self.has_roots = roots is not None
+        roots = np.zeros((0, 3), self.dtype) if roots is None else np.asarray(roots)
+        if self.has_roots and roots.shape != (self.true_frames, 3):
+            raise ShapeError(f"roots: expected ({self.true_frames}, 3), got {roots.shape}")
+        self.roots = readable(self._filled(roots, (self.frames if self.has_roots else 0, 3)), self.dtype)
+
+    def _flat(self, values: Any, width: int, name: str) -> tuple[np.ndarray, int]:
+        if values is None:
+            return readable(np.zeros(0), self.dtype), _NONE
+        values = np.asarray(values)
+        if values.shape == (self.true_joints, width) and width == 3:
+            return readable(self._filled(values, (self.joints, width)), self.dtype), _STATIC
+        if values.shape != (self.true_frames, self.true_joints, width):
+            raise ShapeError(
+                f"{name}: expected ({self.true_frames}, {self.true_joints}, {width}) to match the rotations, "
+                f"got {values.shape}"
+            )
+        return readable(self._filled(values, (self.frames, self.joints, width)), self.dtype), _MOVING
+
+    @staticmethod
+    def _filled(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        if values.shape == shape:
+            return values
+        return np.pad(values, [(0, wanted - have) for wanted, have in zip(shape, values.shape, strict=True)])
+
+    def shape(self, width: int) -> tuple[int, int, int]:
+        return self.frames, self.joints, width
+
+    def cut(self, values: np.ndarray) -> np.ndarray:
+        """Without the frames and joints that were filled up."""
+        if values.shape[:2] == (self.true_frames, self.true_joints):
+            return values
+        return np.ascontiguousarray(values[: self.true_frames, : self.true_joints])
+
+
+# --- kernels --------------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _to_lanes(source, frame, columns, target):
+    """L frames of ``columns`` numbers each, flat [frame][column], to [column][L].
+
+    The last tile overlaps the one before it where the columns are no multiple of L.
+    """
+    count = lanes(source)
+    for column in range(0, columns, count):
+        column = min(column, columns - count)
+        transpose(source, frame * columns + column, columns, target, column * count, count)
+
+
+@inlined
+def _from_lanes(source, target, frame, columns):
+    """The inverse of `_to_lanes`."""
+    count = lanes(source)
+    for column in range(0, columns, count):
+        column = min(column, columns - count)
+        transpose(source, column * count, count, target, frame * columns + column, columns)
+
+
+@inlined
+def _splat3(array, at):
+    return splat(array, at), splat(array, at + 1), splat(array, at + 2)
+
+
+@kernel
+def _turn_and_move(parents, rotations, translations, moving, roots, has_roots, frames, turned, moved):
+    count, joints = lanes(rotations), parents.shape[0]
+    turns, places = scratch_like(rotations, joints * 4 * count), scratch_like(rotations, joints * 3 * count)
+    for frame in range(0, frames, count):
+        frame = min(frame, frames - count)  # the last block overlaps the one before it
+        _to_lanes(rotations, frame, joints * 4, turns)
+        if moving == _MOVING:
+            _to_lanes(translations, frame, joints * 3, places)
+        for j in range(joints):
+            here, place, p = j * 4 * count, j * 3 * count, parents[j]
+            if p < 0 and has_roots:
+                tx, ty, tz = load_triples(roots, frame * 3)
+            elif moving == _MOVING:
+                tx, ty, tz = load3(places, place, count)
+            else:
+                tx, ty, tz = _splat3(translations, j * 3)
+            if p >= 0:
+                pw, px, py, pz = load4(turns, p * 4 * count, count)
+                ox, oy, oz = load3(places, p * 3 * count, count)
+                w, x, y, z = load4(turns, here, count)
+                w, x, y, z = quat_multiply(pw, px, py, pz, w, x, y, z)
+                store4(turns, here, count, w, x, y, z)
+                tx, ty, tz = quat_rotate(pw, px, py, pz, tx, ty, tz)
+                tx, ty, tz = tx + ox, ty + oy, tz + oz
+            store3(places, place, count, tx, ty, tz)
+        _from_lanes(turns, turned, frame, joints * 4)
+        _from_lanes(places, moved, frame, joints * 3)
+
+
+@kernel
+def _turn_and_move_lanes(parents, rotations, offsets, roots, row, out):
+    count, joints = lanes(rotations), parents.shape[0]
+    turns = scratch_like(rotations, row * count)
+    for block in range(rotations.shape[0] // (row * count)):
+        for column in range(0, row, count):
+            transpose(rotations, block * count * row + column, row, turns, column * count, count)
+        base = block * joints * 7 * count
+        for j in range(joints):
+            here, p = base + j * 7 * count, parents[j]
+            w, x, y, z = load4(turns, j * 4 * count, count)
+            if p < 0:
+                tx, ty, tz = load3(roots, block * 3 * count, count)
+            else:
+                up = base + p * 7 * count
+                pw, px, py, pz = load4(out, up, count)
+                ox, oy, oz = load3(out, up + 4 * count, count)
+                w, x, y, z = quat_multiply(pw, px, py, pz, w, x, y, z)
+                ax, ay, az = _splat3(offsets, j * 3)
+                tx, ty, tz = quat_rotate(pw, px, py, pz, ax, ay, az)
+                tx, ty, tz = tx + ox, ty + oy, tz + oz
+            store4(out, here, count, w, x, y, z)
+            store3(out, here + 4 * count, count, tx, ty, tz)
+
+
+@inlined
+def _row(m0, m1, m2, a, b, c):
+    return m0 * a + m1 * b + m2 * c
+
+
+@kernel
+def _chain(parents, rotations, translations, moving, scales, scaling, roots, has_roots, frames, out):
+    count, joints = lanes(rotations), parents.shape[0]
+    turns, places = scratch_like(rotations, joints * 4 * count), scratch_like(rotations, joints * 3 * count)
+    sizes = scratch_like(rotations, joints * 3 * count)
+    models = scratch_like(rotations, joints * 16 * count)  # [joint][16][L]; the last row of each is always 0 0 0 1
+    zero, one = fill(rotations, 0.0), fill(rotations, 1.0)
+    for j in range(joints):
+        store4(models, (j * 16 + 12) * count, count, zero, zero, zero, one)
+    for frame in range(0, frames, count):
+        frame = min(frame, frames - count)
+        _to_lanes(rotations, frame, joints * 4, turns)
+        if moving == _MOVING:
+            _to_lanes(translations, frame, joints * 3, places)
+        if scaling == _MOVING:
+            _to_lanes(scales, frame, joints * 3, sizes)
+        for j in range(joints):
+            p, here = parents[j], j * 16 * count
+            if p < 0 and has_roots:
+                tx, ty, tz = load_triples(roots, frame * 3)
+            elif moving == _MOVING:
+                tx, ty, tz = load3(places, j * 3 * count, count)
+            else:
+                tx, ty, tz = _splat3(translations, j * 3)
+            w, x, y, z = load4(turns, j * 4 * count, count)
+            a, b, c, d, e, f, g, h, i = quat_matrix(w, x, y, z)
+            if scaling != _NONE:
+                if scaling == _MOVING:
+                    sx, sy, sz = load3(sizes, j * 3 * count, count)
+                else:
+                    sx, sy, sz = _splat3(scales, j * 3)
+                a, d, g = a * sx, d * sx, g * sx
+                b, e, h = b * sy, e * sy, h * sy
+                c, f, i = c * sz, f * sz, i * sz
+            if p < 0:
+                store4(models, here, count, a, b, c, tx)
+                store4(models, here + 4 * count, count, d, e, f, ty)
+                store4(models, here + 8 * count, count, g, h, i, tz)
+            else:
+                for row in range(3):
+                    m0, m1, m2, m3 = load4(models, (p * 16 + row * 4) * count, count)
+                    at = here + row * 4 * count
+                    store(models, at, _row(m0, m1, m2, a, d, g))
+                    store(models, at + count, _row(m0, m1, m2, b, e, h))
+                    store(models, at + 2 * count, _row(m0, m1, m2, c, f, i))
+                    store(models, at + 3 * count, _row(m0, m1, m2, tx, ty, tz) + m3)
+        _from_lanes(models, out, frame, joints * 16)
