@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from keypose.arrays import Array, as_float, checked, unified
+from keypose.arrays import Array, as_float, checked, gather, unified
 from keypose.deform.morphing import morph
 from keypose.deform.skinning import Method, skin_matrices, skin_points, transform_normals
 from keypose.errors import ShapeError
@@ -34,10 +34,11 @@ def deform_part(
     mesh, normals = part.mesh, None
     if with_normals and mesh.normals is None:
         raise ShapeError(f"part '{part.name}': its mesh has no normals")
-    if part.morphs is not None and len(part.morphs.names):
+    channels = part.morph_channels  # set whenever there are morphs
+    if part.morphs is not None and channels is not None and len(channels):
         weights = character.rest_morph_weights if morph_weights is None else morph_weights
         weights = checked(as_float(weights), (..., len(character.morph_names)), "morph_weights", "the morph channels")
-        moved = morph(mesh, part.morphs, weights[..., part.morph_channels], with_normals)
+        moved = morph(mesh, part.morphs, gather(weights, channels, -1), with_normals)
         positions, normals = moved if with_normals else (moved, None)
     else:
         positions, normals = mesh.positions, mesh.normals if with_normals else None
