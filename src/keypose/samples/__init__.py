@@ -1,9 +1,15 @@
-"""Built-in samples: a procedurally generated human character and performances made by code."""
+"""Built-in characters and performances, made by code: nothing is loaded from disk.
+
+>>> from keypose import samples
+>>> samples.names()
+['human', 'walk', 'idle', 'run', 'jump', 'wave', 'talk']
+"""
 
 from __future__ import annotations
 
+from functools import cache
 from os import PathLike, fspath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from keypose.errors import UnknownName
 
@@ -16,41 +22,42 @@ PREFIX = "sample:"
 
 
 def names() -> list[str]:
-    """Names of all samples: "human", then the performances."""
+    """The samples there are: the human (with all performances), and each performance of it alone."""
     from keypose.samples import performances
 
     return ["human", *performances.names()]
 
 
+@cache
 def load(name: str) -> Scene:
-    """The built-in human, alone ("human") or with one performance as the scene's animation ("walk").
+    """The built-in human with one performance; with all of them, the walk first, for ``human``.
 
     Raises:
-        UnknownName: for a name that `names` does not list.
+        UnknownName: for a sample that does not exist, naming the nearest.
     """
+    from keypose.samples import performances
+
+    if name not in names():
+        raise UnknownName("sample", name, names())
     from keypose.model import Scene
     from keypose.samples.human import human
 
-    if name == "human":
-        return Scene((human(),), format="sample")
-    from keypose.samples import performances
-
-    known = performances.names()
-    if name not in known:
-        raise UnknownName("sample", name, ["human", *known])
-    return Scene((human(),), (performances.make(name),), format="sample")
+    wanted = performances.names() if name == "human" else [name]
+    return Scene((human(),), tuple(performances.make(n) for n in wanted), format="sample")
 
 
-def open_scene(reference: str | PathLike[str]) -> Scene:
-    """The scene that a reference names: "sample:NAME" a built-in sample, anything else the path of a file.
+def open_scene(reference: str | PathLike[str], **options: Any) -> Scene:
+    """The scene that a user named: ``sample:NAME``, or the path of a file, with options of its reader.
 
     Raises:
-        UnknownName: for an unknown sample.
-        FormatError: for a malformed file.
+        UnknownName: for a sample that does not exist, or options given for a sample.
+        FormatError: where the file cannot be read.
     """
     reference = fspath(reference)
     if reference.startswith(PREFIX):
-        return load(reference[len(PREFIX) :])
+        if options:
+            raise UnknownName("option of a sample", next(iter(options)), ())
+        return load(reference.removeprefix(PREFIX))
     from keypose import io
 
-    return io.load(reference)
+    return io.load(reference, **options)
