@@ -35,7 +35,9 @@ class Library:
         home = (np.ndarray, np.generic) if self.name == "numpy" else self.module.Tensor
         assert isinstance(array, home), type(array)
         assert str(array.dtype).removeprefix("torch.") == self.dtype, array.dtype
-        return np.array(array)  # a copy: SciPy wants writable arrays
+        return np.array(
+            array if self.name == "numpy" else array.detach().numpy()
+        )  # a copy: SciPy wants writable arrays
 
 
 @pytest.fixture(params=[f"{name}-{dtype}" for name in LIBRARIES for dtype in ("float64", "float32")])

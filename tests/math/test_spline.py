@@ -99,5 +99,7 @@ def test_shapes_and_precision():
     assert spline.lerp([1, 2], [3, 4], 0.5).tolist() == [2, 3]
     with pytest.raises(ShapeError, match="give a scalar curve one component"):
         spline.lerp(1.0, 2.0, 0.5)
-    with pytest.raises(ShapeError, match=r"do not broadcast: u \(5,\), reference \(4,\)"):
+    with pytest.raises(ShapeError, match=r"do not broadcast: a \(4,\), b \(4,\), u \(5,\)"):
         spline.lerp(values, values, np.zeros(5))
+    with pytest.raises(ShapeError, match=r"components of a \(3,\), components of b \(2,\)"):
+        spline.lerp(np.zeros(3), np.zeros(2), 0.5)

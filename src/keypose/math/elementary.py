@@ -29,14 +29,31 @@ _SERIES_BELOW = 0.01  # of x²: there the series are exact to float64 and the di
 def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
     """The namespace and the named inputs as floating-point arrays, checked to end in the given axes.
 
-    Lists, numbers, NumPy scalars and integer arrays take the precision (and the device) of the floating-point arrays beside them,
-    else float64.
-
     Raises:
         ShapeError: where an input has the wrong trailing axes, the batch shapes do not broadcast or the arrays belong
             to different libraries.
     """
-    values = [value for value, _ in named.values()]
+    xp, *arrays = convert(**{name: value for name, (value, _) in named.items()})
+    batches: dict[str, tuple[int, ...]] = {}
+    for array, (name, (_, tail)) in zip(arrays, named.items(), strict=True):
+        kept = array.ndim - len(tail)
+        if kept < 0 or tuple(array.shape[kept:]) != tail:
+            checked(array, (..., *tail), name)
+        batches[name] = tuple(array.shape[:kept])
+    check_broadcast(batches)
+    return (xp, *arrays)
+
+
+def convert(**named: Any) -> tuple[Any, ...]:
+    """The namespace and the named inputs as floating-point arrays of one library.
+
+    Lists, numbers, NumPy scalars and integer arrays take the precision (and the device) of the floating-point arrays
+    beside them, else float64.
+
+    Raises:
+        ShapeError: where the arrays belong to different libraries.
+    """
+    values = list(named.values())
     # NumPy's scalars count as plain numbers beside arrays: a u from np.linspace goes with tensors, too.
     given = [v for v in values if hasattr(v, "shape") and not isinstance(v, np.generic)]
     if given:
@@ -54,17 +71,16 @@ def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
         dtype = xp.result_type(*floats) if floats else xp.float64
         device = array_api_compat.device(given[0])
         values = [v if _is_float(xp, v) else xp.asarray(v, dtype=dtype, device=device) for v in values]
-    for value, (name, (_, tail)) in zip(values, named.items(), strict=True):
-        if tuple(value.shape[value.ndim - len(tail) :]) != tail or value.ndim < len(tail):
-            checked(value, (..., *tail), name)
-    if len(values) > 1:
-        batches = [tuple(v.shape[: v.ndim - len(tail)]) for v, (_, tail) in zip(values, named.values(), strict=True)]
-        try:
-            np.broadcast_shapes(*batches)
-        except ValueError:
-            shown = ", ".join(f"{name} {batch}" for name, batch in zip(named, batches, strict=True))
-            raise ShapeError(f"batch shapes do not broadcast: {shown}") from None
     return (xp, *values)
+
+
+def check_broadcast(batches: dict[str, tuple[int, ...]]) -> None:
+    """Raises ShapeError, naming the inputs, where their batch shapes do not broadcast."""
+    try:
+        np.broadcast_shapes(*batches.values())
+    except ValueError:
+        shown = ", ".join(f"{name} {batch}" for name, batch in batches.items())
+        raise ShapeError(f"batch shapes do not broadcast: {shown}") from None
 
 
 def _is_float(xp: ModuleType, value: Any) -> bool:

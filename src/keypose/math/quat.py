@@ -215,15 +215,16 @@ def average(q: Array, weights: Array | None = None) -> Array:
     Source: Markley et al., Averaging Quaternions (JGCD 2007), equation 12: the eigenvector of the largest eigenvalue of
     sum w q q^T. The gradient is that of first-order perturbation, finite for repeated eigenvalues.
     """
-    xp, q = take(q=(q, (4,)))
+    if weights is None:
+        xp, q = take(q=(q, (4,)))
+        weighted = q
+    else:
+        xp, q, w = take(q=(q, (4,)), weights=(weights, ()))
+        if w.ndim == 0 or q.ndim < 2 or w.shape[-1] != q.shape[-2]:
+            raise ShapeError(f"weights: expected (*B, N) to match q {tuple(q.shape)}, got {tuple(w.shape)}")
+        weighted = scaled(xp, matched(xp, w, q), q)
     if q.ndim < 2:
         raise ShapeError(f"q: expected (*B, N, 4), got {tuple(q.shape)}")
-    weighted = q
-    if weights is not None:
-        xp, q, w = take(q=(q, (4,)), weights=(weights, ()))
-        if w.ndim == 0 or w.shape[-1] != q.shape[-2]:
-            raise ShapeError(f"weights: expected (*B, {q.shape[-2]}) to match q, got {tuple(w.shape)}")
-        weighted = scaled(xp, matched(xp, w, q), q)
     spread = xp.matmul(xp.matrix_transpose(weighted), xp.broadcast_to(q, weighted.shape))  # (*B, 4, 4)
     total = spread[..., 0, 0] + spread[..., 1, 1] + spread[..., 2, 2] + spread[..., 3, 3]
     prefer_identity = beside(xp, [_IDENTITY, *([(0.0,) * 4] * 3)], q)

@@ -10,7 +10,7 @@ from typing import Any
 
 from keypose.arrays import Array
 from keypose.errors import ShapeError
-from keypose.math.elementary import matched, take
+from keypose.math.elementary import check_broadcast, convert, matched, take
 
 
 def parameter(time_s: Array, start_s: Array, end_s: Array) -> Array:
@@ -61,9 +61,13 @@ def hermite_derivative(p0: Array, m0: Array, p1: Array, m1: Array, u: Array, spa
 
 def _take(values: dict[str, Array], parameters: dict[str, Array]) -> tuple[Any, tuple[Array, ...], tuple[Array, ...]]:
     """Values (*B, C), and parameters (*B) in their precision with an axis added for the components."""
-    xp, *arrays = take(**{name: (array, ()) for name, array in values.items()})
-    if any(a.ndim == 0 for a in arrays):
-        names = ", ".join(values)
-        raise ShapeError(f"{names}: expected values (*B, C), got a number; give a scalar curve one component")
-    xp, *numbers = take(**{name: (array, ()) for name, array in parameters.items()}, reference=(arrays[0][..., 0], ()))
-    return xp, tuple(arrays), tuple(matched(xp, n, arrays[0])[..., None] for n in numbers[:-1])
+    xp, *arrays = convert(**values, **parameters)
+    count = len(values)
+    for name, array in zip(values, arrays, strict=False):
+        if array.ndim == 0:
+            raise ShapeError(f"{name}: expected values (*B, C), got a number; give a scalar curve one component")
+    shapes = [tuple(a.shape) for a in arrays]
+    batches = [s[:-1] for s in shapes[:count]] + shapes[count:]
+    check_broadcast(dict(zip([*values, *parameters], batches, strict=True)))
+    check_broadcast({f"components of {name}": shape[-1:] for name, shape in zip(values, shapes, strict=False)})
+    return xp, tuple(arrays[:count]), tuple(matched(xp, p, arrays[0])[..., None] for p in arrays[count:])

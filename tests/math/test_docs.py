@@ -1,0 +1,17 @@
+"""The examples of docs/rotations.md run and print what they say."""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import numpy as np
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "rotations.md"
+
+
+def test_the_page_on_rotations_runs():
+    with np.printoptions():  # the page sets its own; give the old ones back
+        failed, tried = doctest.testfile(str(PAGE), module_relative=False, encoding="utf-8")
+    assert tried > 30
+    assert failed == 0
