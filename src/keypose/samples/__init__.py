@@ -8,13 +8,11 @@
 from __future__ import annotations
 
 from functools import cache
-from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from keypose.errors import UnknownName
-
-if TYPE_CHECKING:
-    from keypose.model import Scene
+from keypose.model import Scene
 
 __all__ = ["load", "names", "open_scene"]
 
@@ -39,25 +37,23 @@ def load(name: str) -> Scene:
 
     if name not in names():
         raise UnknownName("sample", name, names())
-    from keypose.model import Scene
     from keypose.samples.human import human
 
     wanted = performances.names() if name == "human" else [name]
     return Scene((human(),), tuple(performances.make(n) for n in wanted), format="sample")
 
 
-def open_scene(reference: str | PathLike[str], **options: Any) -> Scene:
+def open_scene(reference: str, **options: Any) -> Scene:
     """The scene that a user named: ``sample:NAME``, or the path of a file, with options of its reader.
 
     Raises:
         UnknownName: for a sample that does not exist, or options given for a sample.
         FormatError: where the file cannot be read.
     """
-    reference = fspath(reference)
     if reference.startswith(PREFIX):
         if options:
             raise UnknownName("option of a sample", next(iter(options)), ())
         return load(reference.removeprefix(PREFIX))
     from keypose import io
 
-    return io.load(reference, **options)
+    return io.load(Path(reference), **options)
