@@ -1,5 +1,8 @@
 """Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, scenes."""
 
+import copyreg
+from types import MappingProxyType
+
 from keypose.model.character import Character, Part, Scene
 from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
 from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
@@ -27,3 +30,6 @@ __all__ = [
     "Skeleton",
     "Skin",
 ]
+
+# Read-only mappings travel to process pools, as the arrays beside them do.
+copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
