@@ -89,7 +89,10 @@ def test_rotations_carry_the_rest_bones_onto_the_limb() -> None:
     result = solve_limb(start, target, pole, upper_m=UPPER, lower_m=LOWER)
     rest = (np.array([0.1, -UPPER, 0.02]), np.array([0.0, -LOWER, -0.03]))
     upper, lower = limb_rotations(rest, np.array([1.0, 0, 0]), start, result)
-    for rotation, bone, there in ((upper, rest[0], result.middle - start), (lower, rest[1], result.end - result.middle)):
+    for rotation, bone, there in (
+        (upper, rest[0], result.middle - start),
+        (lower, rest[1], result.end - result.middle),
+    ):
         turned = quat.rotate(rotation, bone / np.linalg.norm(bone))
         assert np.allclose(turned, there / np.linalg.norm(there, axis=1, keepdims=True), atol=1e-12)
         assert np.allclose(np.linalg.norm(rotation, axis=1), 1)
