@@ -6,7 +6,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.render.camera import View
-from keypose.render.settings import RenderSettings
+from keypose.render.settings import RenderSettings, encoded
 
 # rows of the packed frame; matrices are stored column by column and take four rows
 CLIP_FROM_WORLD, WORLD_FROM_CLIP, LIGHT_FROM_WORLD, WORLD_FROM_LIGHT = 0, 4, 8, 12
@@ -40,11 +40,11 @@ def pack_frame(view: View, settings: RenderSettings, width: int, height: int) ->
         (RIM_COLOR, theme.rim, 0.0),
         (SKY_AMBIENT, theme.sky_ambient, 0.0),
         (GROUND_AMBIENT, theme.ground_ambient, 0.0),
-        (ZENITH, theme.zenith, 0.0),
-        (HORIZON, theme.horizon, 0.0),
-        (FLOOR_COLOR, theme.floor, 0.0),
-        (GRID_COLOR, theme.grid, 0.0),
-        (SHADOW_COLOR, theme.shadow, 0.0),
+        (ZENITH, encoded(theme.zenith), 0.0),
+        (HORIZON, encoded(theme.horizon), 0.0),
+        (FLOOR_COLOR, encoded(theme.floor), 0.0),
+        (GRID_COLOR, encoded(theme.grid), 0.0),
+        (SHADOW_COLOR, encoded(theme.shadow), 0.0),
     ):
         rows[row, :3], rows[row, 3] = vector, last
     rows[PIXELS] = (width, height, 1 / width, 1 / height)

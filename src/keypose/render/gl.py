@@ -26,6 +26,11 @@ from keypose.render.surfaces import Surface, surfaces
 _MASK_SIZE, _SOFT_SIZE, _CONTACT_SIZE = 256, 128, 128
 _PALETTE_JOINTS = 64  # per line of the palette texture, three texels each
 _SRGB8_ALPHA8 = 0x8C43
+_SCREENS = ("mask", "blur", "sky", "reduce", "ground", "floor_depth", "shade", "still")  # drawn without buffers
+# programs whose two shader files are not named like the program
+_STAGES = {name: ("screen", name) for name in ("mask", "blur", "sky", "reduce", "still")} | {
+    "floor_depth": ("ground", "depth_only")
+}
 _thread = threading.local()
 
 
@@ -76,9 +81,9 @@ def _program(name: str) -> Any:
             varyings=["out_position", "out_normal"],
         )
     else:
-        vertex = {"mask": "screen", "blur": "screen", "sky": "screen", "reduce": "screen"}.get(name, name)
+        vertex, fragment = _STAGES.get(name, (name, name))
         made = ctx.program(
-            vertex_shader=head + _source(f"{vertex}.vert"), fragment_shader=head + _source(f"{name}.frag")
+            vertex_shader=head + _source(f"{vertex}.vert"), fragment_shader=head + _source(f"{fragment}.frag")
         )
         if "Frame" in made:
             made["Frame"].binding = 0
@@ -186,6 +191,9 @@ class GlRenderer:
         if self.block > 1:
             samples = min(4, samples)
         self.picture = ctx.texture(self.size, 4)
+        self.still_picture = ctx.texture(self.size, 4)
+        self.still = ctx.framebuffer([self.still_picture])
+        self.kept_key = self.last_key = b""
         self.resolved = ctx.framebuffer([self.picture])
         self.drawing = ctx.framebuffer(
             [ctx.renderbuffer(self.size, 4, samples=samples)], ctx.depth_renderbuffer(self.size, samples=samples)
@@ -197,17 +205,17 @@ class GlRenderer:
         self.fetched = ctx.sampler(repeat_x=False, repeat_y=False, filter=(ctx.NEAREST, ctx.NEAREST))
 
         def plane(size: int) -> tuple[Any, Any]:
-            texture = ctx.texture((size, size), 2, dtype="f2")
+            texture = ctx.texture((size, size), 2, dtype="f1")
             texture.repeat_x = texture.repeat_y = False
             return texture, ctx.framebuffer([texture])
 
-        self.crisp = (plane(_MASK_SIZE), plane(_MASK_SIZE))
+        self.crisp = plane(_MASK_SIZE)
         self.soft = (plane(_SOFT_SIZE), plane(_SOFT_SIZE))
         self.near_floor = (plane(_CONTACT_SIZE), plane(_CONTACT_SIZE))
         self.contact_depth = ctx.framebuffer(
             [self.near_floor[0][0]], ctx.depth_renderbuffer((_CONTACT_SIZE, _CONTACT_SIZE))
         )
-        self.screens = {n: ctx.vertex_array(_program(n), []) for n in ("mask", "blur", "sky", "reduce", "ground")}
+        self.screens = {n: ctx.vertex_array(_program(n), []) for n in _SCREENS}
 
     def draw(self, moment: Moment, view: View) -> Floats:
         """One picture, (H, W, 4) uint8, straight alpha."""
@@ -225,18 +233,21 @@ class GlRenderer:
         ghosts = [m for m in self.meshes if m.surface.cast.ghost > 0]
         solid = [m for m in self.meshes if not m.surface.blended]
         glass = [m for m in self.meshes if m.surface.blended and m.surface.cast.ghost == 0]
-        if ghosts:  # behind the subject, whatever the depth: they are drawn first, and only the floor's depth stays
-            self._backdrop()
-            for mesh in ghosts:
-                self._ghost(mesh, moment)
+        standing = self._stands(view)
+        if standing or ghosts:
+            self._backdrop(standing)
+        for mesh in ghosts:
+            self._ghost(mesh, moment)
+        if ghosts:  # they are behind the subject, whatever the depth: only the floor's depth stays
             self._hide()
             self.drawing.clear(depth=1.0)
-            self._backdrop()
+            self._floor("floor_depth")
             self._show()
         for mesh in solid:
             self._surface(mesh, moment)
-        if not ghosts:
-            self._backdrop()
+        if not (standing or ghosts):
+            self._backdrop(False)
+        self._shade()
         self._blend()
         for mesh in self._far_to_near(glass, moment, view):
             self._surface(mesh, moment)
@@ -308,18 +319,18 @@ class GlRenderer:
         mask["depth_map"], mask["block"] = 0, SHADOW_SIZE // _MASK_SIZE
         self.depth_map.use(0)
         self.fetched.use(0)
-        self.crisp[0][1].use()
+        self.crisp[1].use()
         self.screens["mask"].render(ctx.TRIANGLES, 3)
         self.fetched.clear(0)
-        self._blur(self.crisp[0], self.crisp[1], self.crisp[0], 2, 1.0)
-        self._blur(self.crisp[0], self.soft[1], self.soft[0], 8, 3.4)
+        self._blur(self.crisp, self.soft[1], self.soft[0], 8, 3.4)
         self._blur(self.near_floor[0], self.near_floor[1], self.near_floor[0], 7, 3.0)
 
     def _blur(
         self, source: tuple[Any, Any], between: tuple[Any, Any], result: tuple[Any, Any], taps: int, sigma: float
     ) -> None:
-        blur = _program("blur")
-        blur["source"], blur["taps"], blur["sigma"] = 0, taps, sigma
+        blur, kernel = _program("blur"), blur_kernel(taps, sigma)
+        blur["source"], blur["taps"] = 0, len(kernel)
+        blur["kernel"].write(np.pad(kernel, ((0, 8 - len(kernel)), (0, 0))).astype(np.float32))
         step = 1 / between[0].width
         for texture, target, stride in ((source[0], between[1], (step, 0.0)), (between[0], result[1], (0.0, step))):
             texture.use(0)
@@ -365,9 +376,11 @@ class GlRenderer:
 
     def _hide(self) -> None:
         self.drawing.color_mask = (False, False, False, False)
+        self.drawing.use()
 
     def _show(self) -> None:
         self.drawing.color_mask = (True, True, True, True)
+        self.drawing.use()
 
     def _blend(self) -> None:
         self.ctx.enable(self.ctx.BLEND)
@@ -381,22 +394,74 @@ class GlRenderer:
 
         return sorted(meshes, key=depth, reverse=True)
 
-    def _backdrop(self) -> None:
+    def _backdrop(self, standing: bool) -> None:
+        """Floor and sky behind what is drawn already, or from the picture of them that was kept."""
         ctx = self.ctx
-        ctx.front_face = "ccw"
-        ctx.disable(ctx.CULL_FACE)
-        if self.settings.ground:
-            ground = _program("ground")
-            ground["near_cover"], ground["far_cover"], ground["contact"] = 0, 1, 2
-            self.crisp[0][0].use(0)
-            self.soft[0][0].use(1)
-            self.near_floor[0][0].use(2)
-            if self.settings.transparent:
-                self._blend()
-            self.screens["ground"].render(ctx.TRIANGLE_STRIP, 4)
-            ctx.disable(ctx.BLEND)
-        if not self.settings.transparent:
+        if standing:
+            ctx.disable(ctx.DEPTH_TEST | ctx.CULL_FACE)
+            self.still_picture.use(0)
+            _program("still")["source"] = 0
+            self.screens["still"].render(ctx.TRIANGLES, 3)
+            ctx.enable(ctx.DEPTH_TEST)
+            self._hide()
+            self._floor("floor_depth")
+            self._show()
+        elif self.settings.transparent:
+            self._hide()
+            self._floor("floor_depth")
+            self._show()
+        else:
+            self._floor("ground")
             self.screens["sky"].render(ctx.TRIANGLES, 3)
+
+    def _floor(self, program: str) -> None:
+        self.ctx.disable(self.ctx.CULL_FACE)
+        if self.settings.ground:
+            self.screens[program].render(self.ctx.TRIANGLE_STRIP, 4)
+
+    def _shade(self) -> None:
+        """The shadow on the floor."""
+        if not (self.settings.shadows and self.settings.ground):
+            return
+        ctx, shade = self.ctx, _program("shade")
+        shade["near_cover"], shade["far_cover"], shade["contact"] = 0, 1, 2
+        self.crisp[0].use(0)
+        self.soft[0][0].use(1)
+        self.near_floor[0][0].use(2)
+        ctx.disable(ctx.CULL_FACE)
+        self._blend()
+        self.screens["shade"].render(ctx.TRIANGLE_STRIP, 4)
+        ctx.disable(ctx.BLEND)
+
+    def _stands(self, view: View) -> bool:
+        """Whether the camera has not moved since the last picture; the first time, its backdrop is drawn and kept."""
+        key = np.concatenate([view.clip_from_world.ravel(), view.focus]).tobytes()
+        if self.settings.transparent:
+            return False
+        if key == self.kept_key:
+            return True
+        if key != self.last_key:
+            self.last_key = key
+            return False
+        self.kept_key = key
+        self.still.use()
+        self.ctx.disable(self.ctx.DEPTH_TEST)
+        self.screens["sky"].render(self.ctx.TRIANGLES, 3)
+        self._floor("ground")
+        self.ctx.enable(self.ctx.DEPTH_TEST)
+        self.drawing.use()
+        return True
+
+
+def blur_kernel(taps: int, sigma: float) -> Floats:
+    """Offsets and weights of a Gaussian of 2 taps + 1 texels whose texels are read in pairs, (1 + taps / 2, 2)."""
+    weights = np.exp(-0.5 * (np.arange(taps + 1) / sigma) ** 2)
+    weights /= weights[0] + 2 * weights[1:].sum()
+    rows = [(0.0, float(weights[0]))]
+    for i in range(1, taps + 1, 2):
+        pair = weights[i : i + 2]
+        rows.append((float((pair * np.arange(i, i + len(pair))).sum() / pair.sum()), float(pair.sum())))
+    return np.array(rows)
 
 
 def _straight(picture: Floats) -> Floats:

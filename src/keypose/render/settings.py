@@ -104,6 +104,12 @@ def srgb(code: str) -> Rgb:
     return (r, g, b)
 
 
+def encoded(color: Rgb) -> Rgb:
+    """sRGB values 0..1 of linear RGB, as they are shown."""
+    r, g, b = (12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055 for c in color)
+    return (r, g, b)
+
+
 @dataclass(frozen=True, slots=True)
 class Theme:
     """Colours (linear RGB) and light strengths of the studio in which the subject stands.

@@ -10,7 +10,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.errors import MissingExtra
-from keypose.render.settings import Rgb, Theme
+from keypose.render.settings import Rgb, Theme, encoded
 
 _GAP = 6  # pixels between the pictures, on a page of a thousand
 
@@ -71,8 +71,7 @@ def compose(
 
 
 def _code(color: Rgb) -> tuple[int, int, int, int]:
-    values = [12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055 for c in color]
-    r, g, b = (round(255 * v) for v in values)
+    r, g, b = (round(255 * v) for v in encoded(color))
     return (r, g, b, 255)
 
 

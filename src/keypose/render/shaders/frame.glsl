@@ -16,7 +16,7 @@ layout(std140) uniform Frame {
     vec4 rim_color_;
     vec4 sky_ambient_;
     vec4 ground_ambient_;
-    vec4 zenith_;
+    vec4 zenith_;     // from here on colours as they are shown (sRGB): the backdrop is mixed without light
     vec4 horizon_;
     vec4 floor_color_;
     vec4 grid_color_;
@@ -26,7 +26,7 @@ layout(std140) uniform Frame {
 
 vec3 encode(vec3 linear_rgb) { // sRGB
     vec3 c = clamp(linear_rgb, 0.0, 1.0);
-    return mix(12.92 * c, 1.055 * pow(max(c, 1e-6), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
+    return mix(12.92 * c, 1.055 * pow(max(c, 1e-6), vec3(1.0 / 2.4)) - 0.055, step(vec3(0.0031308), c));
 }
 
 float dither(vec2 pixel) { // interleaved gradient noise, half a step of 8 bits either way (Jimenez 2014)

@@ -1,4 +1,4 @@
-// What the key light's depth map covers of the floor, and how far above the floor along the light the cover is.
+// What the key light's depth map covers of the floor, and how far above the floor along the light (a quarter of the radii).
 uniform sampler2D depth_map;
 uniform int block; // depth texels per mask texel
 in vec2 at;
@@ -13,7 +13,7 @@ void main() {
         for (int x = 0; x < block; ++x) {
             float depth = texelFetch(depth_map, corner + ivec2(x, y), 0).r;
             float gap = (floor_depth - depth) * 4.0;
-            if (depth < 1.0 && gap > 0.0) cover += vec2(1.0, gap);
+            if (depth < 1.0 && gap > 0.0) cover += vec2(1.0, min(0.25 * gap, 1.0));
         }
     }
     // nothing at the rim, so that nothing is smeared outwards from it

@@ -2,5 +2,5 @@ in vec2 at;
 out vec4 result;
 
 void main() {
-    result = vec4(encode(backdrop(at)) + dither(gl_FragCoord.xy), 1.0);
+    result = vec4(backdrop(at) + dither(gl_FragCoord.xy), 1.0);
 }

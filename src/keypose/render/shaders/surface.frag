@@ -81,7 +81,7 @@ void main() {
     if (flags.x == 1) {
         shown = base.rgb;
     } else {
-        float sun = flags.z == 1 ? 1.0 : sunlit(world, n);
+        float sun = flags.z == 1 || dot(n, key_.xyz) < -0.12 ? 1.0 : sunlit(world, n); // not where no key light falls
         float height = smoothstep(0.0, 0.45, (world.y - forward_.w) / center_.w);
         shown = tone(lit(base.rgb, surface.x, surface.y, n, v, sun, height) + emissive);
     }
