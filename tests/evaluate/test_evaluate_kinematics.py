@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from conftest import ROOT
 from keypose.errors import ShapeError
-from keypose.evaluate import local, world, world_rotations_positions
+from keypose.evaluate import compiled, local, world, world_rotations_positions
 from keypose.math import quat, rigid
 from keypose.model import Pose, Skeleton
 from synthetic import as_type, chain, random_pose, random_rotations, random_skeleton
@@ -125,21 +129,45 @@ def test_the_wrong_number_of_joints_is_named() -> None:
         local(skeleton, np.zeros((4, 4, 4)))
 
 
-def test_large_work_equals_small_work() -> None:
-    """Whatever runs for many frames gives what one frame gives."""
+@pytest.mark.parametrize("path", ["numpy", "kernels"])
+@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 2e-4)])
+def test_both_paths_give_what_one_frame_gives(
+    monkeypatch: pytest.MonkeyPatch, path: str, scaled: bool, dtype: type, tolerance: float
+) -> None:
+    for limit in ("_LOADED", "_NOT_LOADED"):
+        monkeypatch.setattr(compiled, limit, 0 if path == "kernels" else 10**18)
     rng = np.random.default_rng(8)
     skeleton = random_skeleton(rng, 40)
-    for scaled in (False, True):
-        pose = random_pose(rng, (3000,), 40, scaled=scaled)
-        for dtype, tolerance in ((np.float64, 1e-12), (np.float32, 2e-4)):
-            typed = as_type(pose, dtype)
+    for pose in (random_pose(rng, (3, 7), 40, scaled=scaled), random_pose(rng, (), 40, scaled=scaled)):
+        batch = pose.batch_shape
+        parts = as_type(Pose(pose.translations[(0,) * len(batch)], pose.rotations, pose.scales), dtype)
+        full = as_type(pose, dtype)
+        for typed in (full, parts, Pose(full.translations, full.rotations, full.scales[(0,) * len(batch)])):
             result = world(skeleton, typed)
-            assert result.dtype == dtype
             rotations, positions = world_rotations_positions(skeleton, typed)
-            for frame in (0, 1, 1500, 2999):
-                assert_allclose(result[frame], chain(skeleton, pose[frame]), atol=tolerance)
-                assert_allclose(positions[frame], result[frame, :, :3, 3], atol=tolerance)
-            assert rotations.shape == (3000, 40, 4)
+            assert result.dtype == rotations.dtype == positions.dtype == dtype
+            assert (result.shape, rotations.shape) == ((*batch, 40, 4, 4), (*batch, 40, 4))
+            assert_allclose(positions, result[..., :3, 3], atol=tolerance)
+            for index in np.ndindex(batch):
+                one = Pose(*(np.asarray(a, float) for a in vars_of(typed[index])))
+                assert_allclose(result[index], chain(skeleton, one), atol=tolerance)
+                plain = Pose(one.translations, one.rotations, np.ones((40, 3)))
+                assert_allclose(quat.to_matrix(rotations[index]), chain(skeleton, plain)[:, :3, :3], atol=tolerance)
+
+
+def vars_of(pose: Pose) -> tuple[object, object, object]:
+    return pose.translations, pose.rotations, pose.scales
+
+
+def test_few_frames_do_not_load_the_compiler() -> None:
+    script = (
+        "import sys, numpy as np; sys.path.insert(0, 'tests'); from synthetic import *;"
+        "from keypose.evaluate import world; rng = np.random.default_rng(0); s = random_skeleton(rng, 60);"
+        "world(s, random_pose(rng, (100,), 60)); print('numba' in sys.modules)"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert run.stdout.strip() == "False"
 
 
 def test_pymotion_agrees() -> None:

@@ -5,12 +5,14 @@ Joints of one depth are handled together: a skeleton of 100 joints takes about 1
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from keypose.arrays import Array, Ints, checked, gather, namespace, unified
+from keypose.evaluate.compiled import kernels_for
 from keypose.math import quat, rigid
 from keypose.model import Pose, Skeleton
 
@@ -29,6 +31,12 @@ def world(skeleton: Skeleton, pose: Pose) -> Array:
     """
     _checked_pose(skeleton, pose)
     translations, rotations, scales = unified(pose.translations, pose.rotations, pose.scales)
+    fk = kernels_for("fk", _work(pose), translations, rotations, scales)
+    if fk is not None:
+        batch, joints = pose.batch_shape, pose.joint_count
+        scales = None if np.all(scales == 1) else _frames(scales, batch)
+        chained = fk.matrices(skeleton.parents, _all_frames(rotations, batch), _frames(translations, batch), scales)
+        return chained.reshape(*batch, joints, 4, 4)
     return _chain(rigid.from_trs(translations, rotations, scales), skeleton.parents)
 
 
@@ -45,20 +53,26 @@ def world_rotations_positions(skeleton: Skeleton, pose: Pose) -> tuple[Array, Ar
     _checked_pose(skeleton, pose)
     translations, rotations, scales = unified(pose.translations, pose.rotations, pose.scales)
     xp = namespace(rotations)
-    if not (isinstance(scales, np.ndarray) and np.all(scales == 1)):
-        matrices = world(skeleton, pose)
-        rotations = xp.broadcast_to(rotations, (*matrices.shape[:-3], *rotations.shape[-2:]))
-        return _walk(skeleton.parents, (rotations,), lambda up, own: (quat.multiply(up[0], own[0]),))[0], matrices[
-            ..., :3, 3
-        ]
     batch = pose.batch_shape
-    local = tuple(xp.broadcast_to(a, (*batch, *a.shape[-2:])) for a in (rotations, translations))
-    turned, moved = _walk(
-        skeleton.parents,
-        local,
-        lambda up, own: (quat.multiply(up[0], own[0]), up[1] + quat.rotate(up[0], own[1])),
-    )
-    return turned, moved
+    scaled = not (isinstance(scales, np.ndarray) and np.all(scales == 1))
+    # Under scale the positions come from the matrices.
+    fk = kernels_for("fk", _work(pose), translations, rotations, scales)
+    if fk is not None:
+        offsets = np.zeros((pose.joint_count, 3), rotations.dtype) if scaled else translations
+        turned, moved = fk.rotations_positions(skeleton.parents, _all_frames(rotations, batch), _frames(offsets, batch))
+        turned, moved = turned.reshape(*batch, -1, 4), moved.reshape(*batch, -1, 3)
+    elif scaled:
+        full = xp.broadcast_to(rotations, (*batch, *rotations.shape[-2:]))
+        (turned,) = _walk(skeleton.parents, (full,), lambda up, own: (quat.multiply(up[0], own[0]),))
+        moved = None
+    else:
+        full = tuple(xp.broadcast_to(a, (*batch, *a.shape[-2:])) for a in (rotations, translations))
+        turned, moved = _walk(
+            skeleton.parents,
+            full,
+            lambda up, own: (quat.multiply(up[0], own[0]), up[1] + quat.rotate(up[0], own[1])),
+        )
+    return turned, world(skeleton, pose)[..., :3, 3] if scaled else moved
 
 
 def local(skeleton: Skeleton, model_from_joint: Array) -> Array:
@@ -104,6 +118,20 @@ def _checked_pose(skeleton: Skeleton, pose: Pose) -> None:
     checked(
         pose.rotations, (..., skeleton.joint_count, 4), "rotations", f"the skeleton's {skeleton.joint_count} joints"
     )
+
+
+def _work(pose: Pose) -> int:
+    return math.prod(pose.batch_shape) * pose.joint_count
+
+
+def _all_frames(array: Array, batch: tuple[int, ...]) -> Array:
+    """(*B, J, C) as the kernels' (F, J, C)."""
+    return np.broadcast_to(array, (*batch, *array.shape[-2:])).reshape(-1, *array.shape[-2:])
+
+
+def _frames(array: Array, batch: tuple[int, ...]) -> Array:
+    """The same, but what is one for all frames stays (J, C)."""
+    return array if array.ndim == 2 else _all_frames(array, batch)
 
 
 def _walk(parents: Ints, local: tuple[Array, ...], combine: Any) -> tuple[Array, ...]:

@@ -2,6 +2,7 @@
 
 import copyreg
 from types import MappingProxyType
+from typing import Any
 
 from keypose.model.character import Character, Part, Scene
 from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
@@ -31,5 +32,10 @@ __all__ = [
     "Skin",
 ]
 
+
+def _read_only(items: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(items)
+
+
 # Read-only mappings travel to process pools, as the arrays beside them do.
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))  # pyright: ignore[reportArgumentType]
