@@ -1,0 +1,97 @@
+// Keyboard shortcuts: one table for the handler and for the help panel.
+
+import { studio } from "./studio.svelte";
+
+export interface Shortcut {
+  keys: string;
+  does: string;
+  group: "Play" | "Look" | "Show" | "Window";
+  run: (event: KeyboardEvent) => void;
+}
+
+export interface WindowCommands {
+  open: () => void;
+  togglePanel: (side: "left" | "right") => void;
+  find: () => void;
+}
+
+export function shortcuts(window: WindowCommands): Shortcut[] {
+  const play = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Play", run });
+  const look = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Look", run });
+  const show = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Show", run });
+  const win = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Window", run });
+  return [
+    play("Space", "Play or pause", () => studio.toggle()),
+    play(",", "One frame back", () => studio.step(-1)),
+    play(".", "One frame on", () => studio.step(1)),
+    play("ArrowLeft", "One frame back (Shift: ten)", (e) => studio.step(e.shiftKey ? -10 : -1)),
+    play("ArrowRight", "One frame on (Shift: ten)", (e) => studio.step(e.shiftKey ? 10 : 1)),
+    play("Shift+,", "Previous key", () => studio.seekKey(-1)),
+    play("Shift+.", "Next key", () => studio.seekKey(1)),
+    play("Home", "To the start", () => studio.toStart()),
+    play("End", "To the end", () => studio.toEnd()),
+    play("[", "Range starts here", () => studio.setRange(studio.time, studio.end)),
+    play("]", "Range ends here", () => studio.setRange(studio.start, studio.time)),
+    play("\\", "Whole range", () => studio.resetRange()),
+    play("L", "Loop, once, ping-pong", () => studio.cycleMode()),
+    play("-", "Slower", () => studio.stepSpeed(-1)),
+    play("=", "Faster", () => studio.stepSpeed(1)),
+    play("N", "Next clip (Shift: previous)", (e) => studio.stepClip(e.shiftKey ? -1 : 1)),
+    look("F", "Frame everything", () => studio.view.frameAll()),
+    look("Shift+F", "Frame the active character", () => studio.view.frameActive()),
+    look("5", "Front", () => studio.view.frameAll("front")),
+    look("6", "Side", () => studio.view.frameAll("side")),
+    look("7", "Top", () => studio.view.frameAll("top")),
+    look("8", "Three-quarter", () => studio.view.frameAll("three-quarter")),
+    look("R", "Follow the root", () => studio.show("follow")),
+    look("Escape", "Select nothing", () => studio.select(-1)),
+    show("B", "Bones", () => studio.show("bones")),
+    show("A", "Joint axes", () => studio.show("axes")),
+    show("W", "Weights of the selected joint", () => studio.show("weights")),
+    show("G", "Ghosts before and after", () => studio.show("ghosts")),
+    show("D", "Floor grid", () => studio.show("grid")),
+    show("I", "Statistics", () => (studio.stats = !studio.stats)),
+    win("O", "Open files", window.open),
+    win("P", "Save a picture", () => void studio.screenshot()),
+    win("T", "Dark or light theme", () => studio.setTheme(studio.theme === "dark" ? "light" : "dark")),
+    win("/", "Find", window.find),
+    win("1", "Left panel", () => window.togglePanel("left")),
+    win("2", "Right panel", () => window.togglePanel("right")),
+    win("Ctrl+Z", "Undo", () => studio.history.undo()),
+    win("Ctrl+Shift+Z", "Redo", () => studio.history.redo()),
+    win("?", "This panel", () => (studio.help = !studio.help)),
+  ];
+}
+
+/** The spelling of a pressed key in the table above. */
+function spelling(event: KeyboardEvent): string[] {
+  const key = event.key === " " ? "Space" : event.key.length === 1 ? event.key.toUpperCase() : event.key;
+  const ctrl = event.ctrlKey || event.metaKey ? "Ctrl+" : "";
+  if (ctrl) return [`${ctrl}${event.shiftKey ? "Shift+" : ""}${key}`];
+  // "<" and ">" are what Shift makes of , and . on many keyboards
+  const bare = { "<": ",", ">": "." }[key] ?? key;
+  return event.shiftKey ? [`Shift+${bare}`, key] : [key, key === "+" ? "=" : key];
+}
+
+export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
+  const target = event.target as HTMLElement;
+  const typing = target instanceof HTMLInputElement && target.type !== "range";
+  if (typing || target instanceof HTMLSelectElement || event.altKey) {
+    if (event.key === "Escape") target.blur();
+    return;
+  }
+  if (studio.help) {
+    if (event.key === "Escape" || event.key === "?") studio.help = false;
+    return;
+  }
+  // a focused button keeps its own keys
+  if (target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter")) return;
+  for (const keys of spelling(event)) {
+    const found = table.find((s) => s.keys === keys);
+    if (found) {
+      event.preventDefault();
+      found.run(event);
+      return;
+    }
+  }
+}

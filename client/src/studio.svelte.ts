@@ -1,0 +1,467 @@
+// The state that the page shows, and the commands that change it. The stage itself is plain TypeScript (view/).
+
+import { SvelteMap } from "svelte/reactivity";
+import type { Animation } from "./anim/animation";
+import { LOOP_MODES, SPEEDS, type LoopMode } from "./anim/clock";
+import type { SceneEntry, ServerMessage } from "./generated/messages";
+import { PROTOCOL } from "./generated/messages";
+import { History } from "./history.svelte";
+import { Connection } from "./net/connection";
+import type { Blobs } from "./net/container";
+import { loadScene, type OpenFile } from "./scene";
+import type { Actor } from "./view/actor";
+import type { GhostSettings } from "./view/ghosts";
+import type { Theme } from "./view/palette";
+import { Viewport, type Display } from "./view/viewport";
+
+export interface Toast {
+  id: number;
+  kind: "error" | "info";
+  title: string;
+  message: string;
+}
+
+export interface Job {
+  id: string;
+  label: string;
+  fraction: number | null;
+}
+
+/** How much of an animation a character must have for it to be offered, and to be applied by itself. */
+const OFFERED = 0.3;
+const APPLIED = 0.8;
+
+export class Studio {
+  files = $state.raw<OpenFile[]>([]);
+  activeId = $state<string | null>(null);
+  hidden = $state.raw<ReadonlySet<string>>(new Set());
+  /** Actor id -> animation id. */
+  performing = $state.raw<Readonly<Record<string, string | null>>>({});
+
+  time = $state(0);
+  playing = $state(false);
+  mode = $state<LoopMode>("loop");
+  speed = $state(1);
+  start = $state(0);
+  end = $state(0);
+
+  display = $state<Display>({ bones: false, axes: false, weights: false, ghosts: false, grid: true, shadows: true, follow: false });
+  ghosts = $state<GhostSettings>({ before: 3, after: 3, step: 4 });
+  selected = $state(-1);
+  hovered = $state(-1);
+  theme = $state<Theme>("dark");
+  stats = $state(false);
+  help = $state(false);
+  readout = $state<"frames" | "seconds" | "timecode">("frames");
+  /** Rises when the pose changed; at most ten times a second while playing. */
+  revision = $state(0);
+  /** Rises when a morph was set by hand. */
+  morphRevision = $state(0);
+
+  online = $state(true);
+  everOnline = $state(false);
+  settled = $state(false);
+  toasts = $state.raw<Toast[]>([]);
+  jobs = new SvelteMap<string, Job>();
+  history = new History();
+
+  view!: Viewport;
+  private connection!: Connection;
+  private queue: Promise<void> = Promise.resolve();
+  private known = new Set<string>();
+  private toastCount = 0;
+  private revised = 0;
+  /** Called with the time in every frame that changed; the timeline draws itself. */
+  readonly frameListeners = new Set<() => void>();
+
+  actors = $derived(this.files.flatMap((file) => file.actors));
+  animations = $derived(this.files.flatMap((file) => file.animations));
+  active = $derived(this.actors.find((actor) => actor.id === this.activeId) ?? null);
+  animation = $derived.by(() => {
+    const id = this.active ? this.performing[this.active.id] : null;
+    return this.animations.find((animation) => animation.id === id) ?? null;
+  });
+  /** What the active character can perform, its own file's first. */
+  offered = $derived.by(() => {
+    const { active } = this;
+    if (!active) return [];
+    const own = (a: Animation) => (a.sceneId === active.sceneId ? 0 : 1);
+    return this.animations
+      .filter((a) => a.sceneId === active.sceneId || a.match(active.rig, active.morphNames) >= OFFERED)
+      .sort((a, b) => own(a) - own(b));
+  });
+
+  attach(canvas: HTMLCanvasElement): void {
+    this.view = new Viewport(canvas);
+    this.view.onFrame = (time, posed) => {
+      this.time = time;
+      const now = performance.now();
+      if (posed && (!this.playing || now - this.revised > 100)) {
+        this.revised = now;
+        this.revision++;
+      }
+      for (const listener of this.frameListeners) listener();
+    };
+    this.view.onStop = () => (this.playing = false);
+    this.connection = new Connection(
+      (message) => this.receive(message),
+      (online) => {
+        this.online = online;
+        this.everOnline ||= online;
+      },
+    );
+  }
+
+  // ---- files -------------------------------------------------------------------------------------------------------
+
+  private receive(message: ServerMessage): void {
+    switch (message.type) {
+      case "hello":
+        if (message.protocol !== PROTOCOL) {
+          this.toast("error", "This page is older than the server", "Reload the page.");
+          return;
+        }
+        for (const file of this.files) if (!message.scenes.some((s) => s.id === file.id)) this.forget(file.id);
+        for (const entry of message.scenes) this.open(entry);
+        if (message.expected === 0) this.settled = true;
+        break;
+      case "scene_ready":
+        this.open(message.scene);
+        break;
+      case "scene_closed":
+        this.forget(message.id);
+        break;
+      case "progress":
+        if (message.done) this.jobs.delete(message.job);
+        else this.jobs.set(message.job, { id: message.job, label: message.label, fraction: message.fraction });
+        break;
+      case "failure":
+        this.toast("error", message.title, message.message);
+        this.settled = true;
+        break;
+      case "notice":
+        this.toast("info", message.title, message.message);
+        break;
+    }
+  }
+
+  private open(entry: SceneEntry): void {
+    if (this.known.has(entry.id)) return;
+    this.known.add(entry.id);
+    const job = `scene ${entry.id}`;
+    this.jobs.set(job, { id: job, label: entry.name, fraction: 0 });
+    this.queue = this.queue.then(async () => {
+      try {
+        const container = await this.connection.scene<never>(entry.id, entry.bytes, (fraction) =>
+          this.jobs.set(job, { id: job, label: entry.name, fraction }),
+        );
+        const file = await loadScene(container);
+        if (this.known.has(entry.id)) this.enter(file);
+      } catch (error) {
+        this.known.delete(entry.id);
+        this.toast("error", `${entry.name} cannot be shown`, error instanceof Error ? error.message : String(error));
+      } finally {
+        this.jobs.delete(job);
+        this.settled = true;
+      }
+    });
+  }
+
+  private enter(file: OpenFile): void {
+    const first = this.actors.length === 0;
+    this.files = [...this.files, file];
+    for (const actor of file.actors) {
+      const own = file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= OFFERED);
+      const borrowed = actor.hasMesh
+        ? this.animations.find((a) => this.isPerformance(a) && a.sceneId !== file.id && a.match(actor.rig, actor.morphNames) >= APPLIED)
+        : undefined;
+      this.give(actor, borrowed ?? own ?? null);
+      if (actor.animation) actor.measureAt(actor.animation.start);
+      this.view.add(actor);
+    }
+    if (file.actors.length > 0 && !file.hasMesh) this.lend(file);
+    if (first && file.actors.length > 0) {
+      this.activate(file.actors[0]);
+      if (this.animation && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play();
+    }
+    if (file.actors.length > 0) this.view.frameAll(first ? "three-quarter" : null, first);
+    if (file.actors.length === 0) this.toast("info", `${file.name} holds nothing to show`, "It has no character and no skeleton.");
+  }
+
+  /** An animation of a file that has a skeleton and no mesh: a performance for others. */
+  private isPerformance(animation: Animation): boolean {
+    return this.files.find((file) => file.id === animation.sceneId)?.hasMesh === false;
+  }
+
+  /** A new performance goes to every character that has its joints. */
+  private lend(file: OpenFile): void {
+    for (const actor of this.actors) {
+      if (!actor.hasMesh || actor.sceneId === file.id) continue;
+      const animation = file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= APPLIED);
+      if (animation) this.perform(actor, animation);
+    }
+  }
+
+  private forget(id: string): void {
+    this.known.delete(id);
+    const file = this.files.find((f) => f.id === id);
+    if (!file) return;
+    for (const actor of file.actors) this.view.remove(actor);
+    this.files = this.files.filter((f) => f !== file);
+    for (const actor of this.actors) if (actor.animation?.sceneId === id) this.perform(actor, null);
+    if (!this.active) this.activate(this.actors[0] ?? null);
+    if (this.actors.length > 0) this.view.frameAll();
+  }
+
+  close(id: string): void {
+    this.connection.send({ type: "close_scene", id });
+    this.forget(id);
+  }
+
+  async upload(files: Blobs[]): Promise<void> {
+    if (files.length === 0) return;
+    const job = `sending ${files[0].name}`;
+    this.jobs.set(job, { id: job, label: `Sending ${files[0].name}`, fraction: null });
+    try {
+      const result = await this.connection.upload(files);
+      for (const error of result.errors) this.toast("error", "This file cannot be read", error);
+    } catch {
+      this.toast("error", "The file did not arrive", "The studio's server cannot be reached. Is keypose still running?");
+    } finally {
+      this.jobs.delete(job);
+    }
+  }
+
+  // ---- who performs what -------------------------------------------------------------------------------------------
+
+  activate(actor: Actor | null): void {
+    if (this.activeId === (actor?.id ?? null)) return;
+    this.activeId = actor?.id ?? null;
+    this.view.active = actor;
+    this.select(-1);
+    this.takePace(false);
+  }
+
+  private give(actor: Actor, animation: Animation | null): void {
+    actor.setAnimation(animation);
+    this.performing = { ...this.performing, [actor.id]: animation?.id ?? null };
+  }
+
+  perform(actor: Actor, animation: Animation | null): void {
+    this.give(actor, animation);
+    this.view.applyDisplay();
+    if (actor.id === this.activeId) this.takePace(true);
+  }
+
+  /** The active character's animation sets the range and the rate. */
+  private takePace(restart: boolean): void {
+    const { clock } = this.view;
+    const { animation } = this;
+    clock.rate = animation?.rate ?? 30;
+    if (restart || !animation || clock.time < animation.start || clock.time > animation.end) clock.time = animation?.start ?? 0;
+    this.setRange(animation?.start ?? 0, animation?.end ?? 0);
+    this.view.invalidatePose();
+  }
+
+  stepClip(direction: number): void {
+    const { offered, active, animation } = this;
+    if (!active || offered.length === 0) return;
+    const at = animation ? offered.indexOf(animation) : direction > 0 ? -1 : 0;
+    this.perform(active, offered[(at + direction + offered.length) % offered.length]);
+  }
+
+  toggleHidden(actor: Actor): void {
+    const hidden = new Set(this.hidden);
+    if (!hidden.delete(actor.id)) hidden.add(actor.id);
+    this.hidden = hidden;
+    actor.setVisible(!hidden.has(actor.id));
+    this.view.applyDisplay();
+  }
+
+  // ---- time --------------------------------------------------------------------------------------------------------
+
+  get rate(): number {
+    return this.animation?.rate ?? 30;
+  }
+
+  play(): void {
+    if (!this.animation) return;
+    this.view.clock.play();
+    this.playing = true;
+  }
+
+  pause(): void {
+    this.view.clock.playing = this.playing = false;
+    this.revision++;
+  }
+
+  toggle(): void {
+    if (this.playing) this.pause();
+    else this.play();
+  }
+
+  seek(time: number): void {
+    const { clock } = this.view;
+    clock.time = Math.max(clock.start, Math.min(clock.end, time));
+    this.time = clock.time;
+    this.view.invalidatePose();
+  }
+
+  /** Go to a whole frame, counted from the start of the animation. */
+  seekFrame(frame: number): void {
+    this.seek((this.animation?.start ?? 0) + frame / this.rate);
+  }
+
+  step(frames: number): void {
+    this.pause();
+    const frame = (this.view.clock.time - (this.animation?.start ?? 0)) * this.rate;
+    // from between two frames, a step goes to the next whole one
+    this.seekFrame(frames > 0 ? Math.floor(frame + 1e-6) + frames : Math.ceil(frame - 1e-6) + frames);
+  }
+
+  toStart(): void {
+    this.seek(this.start);
+  }
+
+  toEnd(): void {
+    this.seek(this.end);
+  }
+
+  /** To the neighbouring key of the selected joint, or of any. */
+  seekKey(direction: number): void {
+    const { animation, active } = this;
+    if (!animation || !active) return;
+    this.pause();
+    const times = animation.keyTimes(this.selected >= 0 ? active.rig.names[this.selected] : null);
+    const now = this.view.clock.time;
+    const next = direction > 0 ? times.find((t) => t > now + 1e-6) : times.findLast((t) => t < now - 1e-6);
+    if (next !== undefined) this.seek(next);
+  }
+
+  setRange(start: number, end: number): void {
+    const low = this.animation?.start ?? 0, high = this.animation?.end ?? 0;
+    const shortest = Math.min(high - low, 1 / this.rate);
+    this.start = Math.max(low, Math.min(start, high - shortest));
+    this.end = Math.min(high, Math.max(end, this.start + shortest));
+    this.view.clock.setRange(this.start, this.end);
+    this.view.invalidatePose();
+  }
+
+  resetRange(): void {
+    this.setRange(this.animation?.start ?? 0, this.animation?.end ?? 0);
+  }
+
+  setSpeed(speed: number): void {
+    this.speed = Math.max(0.1, Math.min(4, Math.round(speed * 100) / 100));
+    this.view.clock.speed = this.speed;
+  }
+
+  stepSpeed(direction: number): void {
+    const next = direction > 0 ? SPEEDS.find((s) => s > this.speed) : SPEEDS.findLast((s) => s < this.speed);
+    if (next !== undefined) this.setSpeed(next);
+  }
+
+  setMode(mode: LoopMode): void {
+    this.mode = this.view.clock.mode = mode;
+  }
+
+  cycleMode(): void {
+    this.setMode(LOOP_MODES[(LOOP_MODES.indexOf(this.mode) + 1) % LOOP_MODES.length]);
+  }
+
+  // ---- looking -----------------------------------------------------------------------------------------------------
+
+  show(name: keyof Display, shown = !this.display[name]): void {
+    this.display[name] = shown;
+    this.applyDisplay();
+  }
+
+  setGhosts(change: Partial<GhostSettings>): void {
+    Object.assign(this.ghosts, change);
+    this.applyDisplay();
+  }
+
+  private applyDisplay(): void {
+    this.view.display = { ...this.display };
+    this.view.ghostSettings = { ...this.ghosts };
+    this.view.applyDisplay();
+  }
+
+  select(joint: number): void {
+    this.selected = this.view.selected = joint;
+    this.view.paintJoints();
+  }
+
+  hover(joint: number): void {
+    if (joint === this.hovered) return;
+    this.hovered = this.view.hovered = joint;
+    this.view.paintJoints();
+  }
+
+  setTheme(theme: Theme, remember = true): void {
+    this.theme = theme;
+    document.documentElement.dataset.theme = theme;
+    this.view.setTheme(theme);
+    try {
+      if (remember) localStorage.setItem("keypose.theme", theme);
+    } catch {
+      // a browser that forbids storage forgets the theme; nothing else depends on it
+    }
+    for (const listener of this.frameListeners) listener();
+  }
+
+  async screenshot(): Promise<void> {
+    const blob = await this.view.screenshot();
+    const frame = Math.round((this.view.clock.time - (this.animation?.start ?? 0)) * this.rate);
+    const link = document.createElement("a");
+    const name = [this.active?.name ?? "stage", this.animation?.name].filter(Boolean).join("-").replace(/[^\w.-]+/g, "_");
+    link.href = URL.createObjectURL(blob);
+    link.download = `${name}-${String(frame).padStart(4, "0")}.png`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  }
+
+  // ---- morphs ------------------------------------------------------------------------------------------------------
+
+  setMorph(actor: Actor, channel: number, weight: number): void {
+    const before = actor.morphOverrides[channel];
+    const assign = (value: number) => () => {
+      actor.morphOverrides[channel] = value;
+      this.morphsChanged();
+    };
+    assign(weight)();
+    const name = actor.morphNames[channel];
+    this.history.push(`${name}`, `morph ${actor.id} ${channel}`, assign(before), assign(weight));
+  }
+
+  resetMorphs(actor: Actor, channels: number[]): void {
+    const before = actor.morphOverrides.slice();
+    const assign = (values: (m: number) => number) => () => {
+      for (const m of channels) actor.morphOverrides[m] = values(m);
+      this.morphsChanged();
+    };
+    const clear = assign(() => NaN);
+    if (channels.every((m) => Number.isNaN(before[m]))) return;
+    clear();
+    this.history.push("reset of morphs", "", assign((m) => before[m]), clear);
+  }
+
+  private morphsChanged(): void {
+    this.morphRevision++;
+    this.view.invalidatePose();
+  }
+
+  // ---- messages ----------------------------------------------------------------------------------------------------
+
+  toast(kind: Toast["kind"], title: string, message: string): void {
+    const toast = { id: ++this.toastCount, kind, title, message };
+    this.toasts = [...this.toasts.slice(-4), toast];
+    setTimeout(() => this.dismiss(toast.id), kind === "error" ? 14_000 : 6_000);
+  }
+
+  dismiss(id: number): void {
+    this.toasts = this.toasts.filter((t) => t.id !== id);
+  }
+}
+
+export const studio = new Studio();

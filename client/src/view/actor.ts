@@ -1,0 +1,223 @@
+// A character on the stage: its rig, its bodies, what it performs, and what is drawn over it.
+
+import * as THREE from "three";
+import type { CharacterData } from "../generated/messages";
+import type { Animation, Binding } from "../anim/animation";
+import { Pose, Rig } from "../anim/rig";
+import type { Arrays } from "../net/container";
+import { Axes, Bones } from "./bones";
+import { Ghosts, type GhostSettings } from "./ghosts";
+import { Body, deformedVertices, partSources, WeightMaterial, type PartMesh, type PartSource } from "./parts";
+import type { Palette } from "./palette";
+
+export class Actor {
+  readonly id: string;
+  readonly name: string;
+  readonly rig: Rig;
+  readonly morphNames: string[];
+  readonly sources: PartSource[];
+  readonly root = new THREE.Group();
+  readonly overlay = new THREE.Group();
+  readonly hasMesh: boolean;
+  readonly vertices: number;
+  readonly triangles: number;
+  readonly rootJoint: number;
+  /** Bounds of the first pose, in the character's own space. */
+  readonly bounds = new THREE.Box3();
+  /** Where the root joint was when the bounds were measured. */
+  readonly measuredRoot = new THREE.Vector3();
+  readonly height: number;
+  /** Morph weights set by hand; NaN where the animation or the rest decides. */
+  readonly morphOverrides: Float64Array;
+  animation: Animation | null = null;
+  visible = true;
+
+  private binding: Binding | null = null;
+  private readonly body: Body;
+  private readonly solid: Bones | null;
+  private bones: Bones | null = null;
+  private axes: Axes | null = null;
+  private weights: WeightMaterial[] | null = null;
+  private ghosts: Ghosts | null = null;
+
+  constructor(
+    data: CharacterData,
+    arrays: Arrays,
+    textures: (THREE.Texture | null)[],
+    readonly sceneId: string,
+    index: number,
+    fallbackName: string,
+  ) {
+    this.id = `${sceneId}#${index}`;
+    this.name = data.name || fallbackName;
+    this.morphNames = data.morph_names;
+    this.rig = new Rig(data.skeleton, arrays, arrays.float32(data.rest_morph_weights));
+    this.morphOverrides = new Float64Array(this.morphNames.length).fill(NaN);
+    this.sources = partSources(data.parts, arrays, textures);
+    this.hasMesh = this.sources.length > 0;
+    this.vertices = this.sources.reduce((n, s) => n + s.geometry.attributes.position.count, 0);
+    this.triangles = this.sources.reduce((n, s) => n + s.geometry.index!.count / 3, 0);
+    this.rootJoint = data.roles.hips ?? this.findRoot();
+    this.body = new Body(this.sources, (source) => [source.material]);
+    for (const mesh of this.body.meshes) mesh.castShadow = mesh.receiveShadow = true;
+    this.root.add(this.body.group);
+    this.measure();
+    this.height = Math.max(1e-3, this.bounds.getSize(new THREE.Vector3()).length() / 1.35);
+    this.solid = this.hasMesh ? null : new Bones(this.rig, "solid", this.height);
+    if (this.solid) this.root.add(this.solid.group);
+    this.refresh();
+  }
+
+  /** The first joint with more than one child, or the first root: what moves through the world. */
+  private findRoot(): number {
+    let joint = 0;
+    while (this.rig.children[joint]?.length === 1 && joint < this.rig.count - 1) {
+      const child = this.rig.children[joint][0];
+      if (this.rig.children[child].length === 0) break;
+      joint = child;
+      if (this.rig.children[joint].length > 1) break;
+    }
+    return this.rig.children[joint]?.length > 1 ? joint : 0;
+  }
+
+  private measure(): void {
+    this.bounds.makeEmpty();
+    this.jointPosition(this.rootJoint, this.measuredRoot);
+    const point = new THREE.Vector3();
+    for (const source of this.sources) {
+      const positions = deformedVertices(source, this.rig.world, this.rig.pose.morphs);
+      for (let i = 0; i < positions.length; i += 3) {
+        point.set(positions[i], positions[i + 1], positions[i + 2]);
+        if (Number.isFinite(point.x + point.y + point.z)) this.bounds.expandByPoint(point);
+      }
+    }
+    if (this.bounds.isEmpty()) for (let joint = 0; joint < this.rig.count; joint++) this.bounds.expandByPoint(this.jointPosition(joint, point));
+    if (this.bounds.isEmpty()) this.bounds.set(new THREE.Vector3(-0.5, 0, -0.5), new THREE.Vector3(0.5, 1, 0.5));
+  }
+
+  /** Measure again in the pose of a time; done once, when the first animation is known. */
+  measureAt(time: number): void {
+    this.evaluate(time);
+    this.measure();
+  }
+
+  /** A joint in the character's own space. */
+  jointPosition(joint: number, out: THREE.Vector3): THREE.Vector3 {
+    const { world } = this.rig, o = 12 * joint;
+    return out.set(world[o + 9], world[o + 10], world[o + 11]);
+  }
+
+  setAnimation(animation: Animation | null): void {
+    this.animation = animation;
+    this.binding = animation?.bind(this.rig, this.morphNames) ?? null;
+  }
+
+  /** Solve the pose of a time; a time outside the animation wraps, so that short clips repeat beside long ones. */
+  evaluate(time: number, pose: Pose = this.rig.pose, world: Float64Array = this.rig.world): void {
+    if (this.binding) this.binding.apply(time, pose);
+    else pose.copy(this.rig.rest);
+    const overrides = this.morphOverrides;
+    for (let m = 0; m < overrides.length; m++) if (overrides[m] === overrides[m]) pose.morphs[m] = overrides[m];
+    this.rig.solve(pose, world);
+  }
+
+  /** Whether the current animation moves a morph channel. */
+  animatesMorph(channel: number): boolean {
+    return this.binding?.morphs.has(channel) ?? false;
+  }
+
+  /** Evaluate and hand everything to the graphics card. */
+  update(time: number): void {
+    this.evaluate(time);
+    this.refresh();
+    this.ghosts?.update(this, time);
+  }
+
+  private refresh(): void {
+    const { world, pose } = this.rig;
+    this.body.write(world, pose.morphs);
+    this.solid?.write(world);
+    this.bones?.write(world);
+    this.axes?.write(world);
+  }
+
+  place(x: number, z: number): void {
+    this.root.position.set(x, 0, z);
+    this.overlay.position.set(x, 0, z);
+  }
+
+  setVisible(visible: boolean): void {
+    this.visible = visible;
+    this.root.visible = this.overlay.visible = visible;
+  }
+
+  // ---- what is drawn over it ----------------------------------------------------------------------------------------
+
+  showBones(shown: boolean): void {
+    if (shown && !this.bones && this.hasMesh) {
+      this.bones = new Bones(this.rig, "overlay", this.height);
+      this.overlay.add(this.bones.group);
+      this.bones.write(this.rig.world);
+    } else if (!shown && this.bones) {
+      this.bones.dispose();
+      this.bones = null;
+    }
+  }
+
+  showAxes(shown: boolean): void {
+    if (shown && !this.axes) {
+      this.axes = new Axes(this.rig, 0.035 * this.height);
+      this.overlay.add(this.axes.lines);
+      this.axes.write(this.rig.world);
+    } else if (!shown && this.axes) {
+      this.axes.dispose();
+      this.axes = null;
+    }
+  }
+
+  /** The heat map of a joint's weights, or the character's own surfaces. */
+  showWeights(joint: number | null): void {
+    if (joint === null) {
+      if (!this.weights) return;
+      this.body.meshes.forEach((mesh) => (mesh.material = (mesh.userData.source as PartSource).material));
+      this.weights.forEach((material) => material.dispose());
+      this.weights = null;
+      return;
+    }
+    this.weights ??= this.body.meshes.map((mesh) => {
+      const material = new WeightMaterial((mesh.userData.source as PartSource).skin !== null);
+      mesh.material = material;
+      return material;
+    });
+    this.body.meshes.forEach((mesh: PartMesh, n) => {
+      const { skin, data } = mesh.userData.source as PartSource;
+      this.weights![n].joint.value = skin ? skin.palette.indexOf(joint) : data.joint === joint ? 0 : -1;
+    });
+  }
+
+  showGhosts(settings: GhostSettings | null, palette: Palette): void {
+    this.ghosts?.dispose();
+    this.ghosts = settings && this.animation ? new Ghosts(this, settings, palette) : null;
+    if (this.ghosts) this.root.add(this.ghosts.group);
+  }
+
+  paint(palette: Palette, selected: number, hovered: number): void {
+    this.solid?.paint(palette.bone, palette.accent, palette.hover, selected, hovered);
+    this.bones?.paint(palette.overlayBone, palette.accent, palette.hover, selected, hovered);
+  }
+
+  dispose(): void {
+    this.ghosts?.dispose();
+    this.bones?.dispose();
+    this.axes?.dispose();
+    this.solid?.dispose();
+    this.weights?.forEach((material) => material.dispose());
+    this.body.dispose();
+    for (const source of this.sources) {
+      source.geometry.dispose();
+      source.material.dispose();
+    }
+    this.root.removeFromParent();
+    this.overlay.removeFromParent();
+  }
+}

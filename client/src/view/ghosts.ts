@@ -1,0 +1,80 @@
+// The onion skin: the same character some frames before and after.
+
+import * as THREE from "three";
+import { Pose } from "../anim/rig";
+import type { Actor } from "./actor";
+import { ghostDepthMaterial, ghostMaterial } from "./materials";
+import type { Palette } from "./palette";
+import { Body } from "./parts";
+import { Sticks } from "./sticks";
+
+export interface GhostSettings {
+  before: number;
+  after: number;
+  /** Frames between one ghost and the next. */
+  step: number;
+}
+
+interface Ghost {
+  frames: number;
+  body: Body | null;
+  sticks: Sticks | null;
+}
+
+export class Ghosts {
+  readonly group = new THREE.Group();
+  private readonly ghosts: Ghost[] = [];
+  private readonly pose: Pose;
+  private readonly world: Float64Array;
+  private readonly materials: THREE.Material[] = [];
+
+  constructor(actor: Actor, settings: GhostSettings, palette: Palette) {
+    this.pose = new Pose(actor.rig.count, actor.morphNames.length);
+    this.world = new Float64Array(12 * actor.rig.count);
+    const depth = ghostDepthMaterial();
+    this.materials.push(depth);
+    const add = (frames: number, color: THREE.Color, strength: number, order: number) => {
+      const look = ghostMaterial(color, strength);
+      this.materials.push(look);
+      const ghost: Ghost = { frames, body: null, sticks: null };
+      if (actor.hasMesh) {
+        ghost.body = new Body(actor.sources, () => [depth, look]);
+        // each ghost lays down its depth before its colour, the furthest in time first
+        for (const mesh of ghost.body.meshes) mesh.renderOrder += 10 + 2 * order;
+        this.group.add(ghost.body.group);
+      } else {
+        ghost.sticks = new Sticks(actor.rig, color, strength);
+        this.group.add(ghost.sticks.lines);
+      }
+      this.ghosts.push(ghost);
+    };
+    for (let n = settings.before; n >= 1; n--)
+      add(-n * settings.step, palette.ghostBefore, 0.75 * (1 - (n - 1) / (settings.before + 1)), settings.before - n);
+    for (let n = settings.after; n >= 1; n--)
+      add(n * settings.step, palette.ghostAfter, 0.75 * (1 - (n - 1) / (settings.after + 1)), settings.after - n);
+  }
+
+  update(actor: Actor, time: number): void {
+    const { animation } = actor;
+    if (!animation) return;
+    for (const ghost of this.ghosts) {
+      const at = time + ghost.frames / animation.rate;
+      const visible = at >= animation.start - 1e-6 && at <= animation.end + 1e-6;
+      if (ghost.body) ghost.body.group.visible = visible;
+      if (ghost.sticks) ghost.sticks.lines.visible = visible;
+      if (!visible) continue;
+      actor.evaluate(at, this.pose, this.world);
+      ghost.body?.write(this.world, this.pose.morphs);
+      ghost.sticks?.write(this.world);
+    }
+  }
+
+  dispose(): void {
+    this.group.removeFromParent();
+    for (const ghost of this.ghosts) {
+      ghost.body?.dispose();
+      ghost.sticks?.dispose();
+    }
+    for (const material of this.materials) material.dispose();
+  }
+}

@@ -1,0 +1,391 @@
+// The stage: renderer, scene, actors, and the loop that draws a frame when something changed.
+
+import * as THREE from "three";
+import { Clock } from "../anim/clock";
+import type { Actor } from "./actor";
+import { OrbitCamera, type View } from "./camera";
+import type { GhostSettings } from "./ghosts";
+import { Ground } from "./ground";
+import { Lights } from "./lights";
+import { PALETTES, type Theme } from "./palette";
+
+export interface Display {
+  bones: boolean;
+  axes: boolean;
+  weights: boolean;
+  ghosts: boolean;
+  grid: boolean;
+  shadows: boolean;
+  follow: boolean;
+}
+
+export interface FrameStats {
+  /** Frames drawn per second, over the last second. */
+  fps: number;
+  /** Script milliseconds per frame: animation, kinematics, matrices, read-outs. */
+  script: number;
+  /** Milliseconds of three.js' own work to hand the frame to the browser. */
+  submit: number;
+  drawCalls: number;
+  triangles: number;
+}
+
+const SAMPLES = 120;
+
+export class Viewport {
+  readonly clock = new Clock();
+  readonly orbit: OrbitCamera;
+  readonly actors: Actor[] = [];
+  active: Actor | null = null;
+  selected = -1;
+  hovered = -1;
+  display: Display = { bones: false, axes: false, weights: false, ghosts: false, grid: true, shadows: true, follow: false };
+  ghostSettings: GhostSettings = { before: 3, after: 3, step: 4 };
+  theme: Theme = "dark";
+  /** Called inside every frame in which time moved or something else changed. */
+  onFrame: (time: number, moved: boolean) => void = () => {};
+  /** Called when playing ends by itself. */
+  onStop: () => void = () => {};
+
+  private readonly renderer: THREE.WebGLRenderer;
+  private readonly scene = new THREE.Scene();
+  private readonly overlay = new THREE.Scene();
+  private readonly ground = new Ground();
+  private readonly lights: Lights;
+  private dirty = true;
+  private posed = false;
+  private last = 0;
+  private readonly scriptTimes = new Float64Array(SAMPLES);
+  private readonly submitTimes = new Float64Array(SAMPLES);
+  private readonly frameTimes = new Float64Array(SAMPLES);
+  private samples = 0;
+  private readonly point = new THREE.Vector3();
+  private handle = 0;
+
+  constructor(readonly canvas: HTMLCanvasElement) {
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.toneMapping = THREE.NeutralToneMapping;
+    this.renderer.autoClear = false;
+    this.renderer.info.autoReset = false;
+    this.lights = new Lights(this.scene, this.renderer);
+    this.scene.add(this.ground.mesh);
+    const lamp = new THREE.DirectionalLight(0xffffff, 2.2);
+    lamp.position.set(0.4, 1, 0.8);
+    this.overlay.add(new THREE.HemisphereLight(0xffffff, 0x8890a0, 1.5), lamp);
+    this.orbit = new OrbitCamera(canvas, () => this.invalidate());
+    this.setTheme("dark");
+    this.fitStage();
+    this.handle = requestAnimationFrame(this.frame);
+  }
+
+  // ---- who is on the stage -----------------------------------------------------------------------------------------
+
+  add(actor: Actor): void {
+    this.actors.push(actor);
+    this.scene.add(actor.root);
+    this.overlay.add(actor.overlay);
+    this.arrange();
+    this.applyDisplay();
+  }
+
+  remove(actor: Actor): void {
+    this.actors.splice(this.actors.indexOf(actor), 1);
+    if (this.active === actor) this.active = null;
+    actor.dispose();
+    this.arrange();
+    this.invalidate();
+  }
+
+  /** Side by side in the order of opening; a single character stays where its file puts it. */
+  private arrange(): void {
+    const alone = this.actors.length === 1;
+    const widths = this.actors.map((actor) => Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
+    const gaps = this.actors.map((actor) => 0.18 * actor.height);
+    let x = -0.5 * (widths.reduce((n, w) => n + w, 0) + gaps.slice(1).reduce((n, g) => n + g, 0));
+    this.actors.forEach((actor, n) => {
+      const { min, max } = actor.bounds;
+      if (n > 0) x += gaps[n];
+      if (alone) actor.place(0, 0);
+      else actor.place(x + 0.5 * widths[n] - 0.5 * (min.x + max.x), -0.5 * (min.z + max.z));
+      x += widths[n];
+    });
+    this.fitStage();
+  }
+
+  /** What should be in view: the visible characters where they are now. */
+  box(only: Actor | null = null): THREE.Box3 {
+    const box = new THREE.Box3();
+    for (const actor of this.actors) {
+      if (!actor.visible || (only && actor !== only)) continue;
+      const own = actor.bounds.clone();
+      // the bounds were measured in the first pose: move them to where the character is now
+      const from = actor.measuredRoot, now = actor.jointPosition(actor.rootJoint, this.point);
+      own.translate(new THREE.Vector3(now.x - from.x, 0, now.z - from.z)).translate(actor.root.position);
+      box.union(own);
+    }
+    if (box.isEmpty()) box.set(new THREE.Vector3(-0.8, 0, -0.8), new THREE.Vector3(0.8, 1.8, 0.8));
+    return box;
+  }
+
+  private fitStage(): void {
+    const box = this.box();
+    const size = Math.max(...box.getSize(new THREE.Vector3()).toArray());
+    const center = box.getCenter(new THREE.Vector3());
+    this.ground.fit(center, size);
+    this.lights.fit(center, size);
+    this.stageSize = size;
+  }
+  private stageSize = 2;
+
+  frameAll(view: View | null = null, immediately = false): void {
+    this.orbit.frame(this.box(), view, immediately);
+    this.invalidate();
+  }
+
+  frameActive(): void {
+    this.orbit.frame(this.box(this.active), null);
+    this.invalidate();
+  }
+
+  // ---- how it looks ------------------------------------------------------------------------------------------------
+
+  setTheme(theme: Theme): void {
+    this.theme = theme;
+    const palette = PALETTES[theme];
+    this.ground.paint(palette);
+    const previous = this.scene.background;
+    this.scene.background = backdrop(palette.backgroundTop, palette.backgroundBottom);
+    if (previous instanceof THREE.Texture) previous.dispose();
+    this.applyDisplay();
+  }
+
+  /** Bring everything that is drawn over the characters in line with the settings. */
+  applyDisplay(): void {
+    const { display, actors } = this;
+    const palette = PALETTES[this.theme];
+    for (const actor of actors) {
+      actor.showBones(display.bones);
+      actor.showAxes(display.axes);
+      actor.showWeights(display.weights ? (actor === this.active ? this.selected : -2) : null);
+      actor.showGhosts(display.ghosts && actor.visible ? this.ghostSettings : null, palette);
+      const mine = actor === this.active;
+      actor.paint(palette, mine ? this.selected : -1, mine ? this.hovered : -1);
+    }
+    this.ground.grid = display.grid;
+    this.lights.key.castShadow = display.shadows;
+    this.invalidatePose();
+  }
+
+  paintJoints(): void {
+    const palette = PALETTES[this.theme];
+    for (const actor of this.actors) {
+      const mine = actor === this.active;
+      actor.paint(palette, mine ? this.selected : -1, mine ? this.hovered : -1);
+      if (this.display.weights) actor.showWeights(mine ? this.selected : -2);
+    }
+    this.invalidate();
+  }
+
+  resize(width: number, height: number): void {
+    if (width < 2 || height < 2) return;
+    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    this.renderer.setSize(width, height, false);
+    this.orbit.resize(width, height);
+    this.invalidate();
+    this.draw(); // at once, so that the old picture is not stretched for a frame
+  }
+
+  // ---- the loop ----------------------------------------------------------------------------------------------------
+
+  invalidate(): void {
+    this.dirty = true;
+  }
+
+  /** The pose must be evaluated again, though time may stand. */
+  invalidatePose(): void {
+    this.posed = false;
+    this.dirty = true;
+  }
+
+  /** The time an actor shows: its own animation repeats where it is shorter than the one that sets the pace. */
+  localTime(actor: Actor): number {
+    const { animation } = actor;
+    if (!animation || actor === this.active) return this.clock.time;
+    const master = this.active?.animation;
+    const elapsed = this.clock.time - (master ? master.start : this.clock.start);
+    if (animation.duration <= 0) return animation.start;
+    if (elapsed <= animation.duration + 1e-9) return animation.start + Math.max(0, elapsed);
+    return this.clock.mode === "once" ? animation.end : animation.start + (elapsed % animation.duration);
+  }
+
+  pose(): void {
+    for (const actor of this.actors) if (actor.visible) actor.update(this.localTime(actor));
+    this.posed = true;
+  }
+
+  private readonly frame = (now: number): void => {
+    this.handle = requestAnimationFrame(this.frame);
+    const began = performance.now();
+    const elapsed = Math.min(0.25, Math.max(0, (now - this.last) / 1000));
+    this.last = now;
+    const { clock } = this;
+    let moved = false;
+    if (clock.playing) {
+      const before = clock.time;
+      const goes = clock.advance(elapsed);
+      moved = clock.time !== before;
+      if (!goes) this.onStop();
+    }
+    const posing = moved || !this.posed;
+    if (posing) {
+      this.pose();
+      this.dirty = true;
+    }
+    this.followActive();
+    if (this.orbit.update(now)) this.dirty = true;
+    if (!this.dirty) return;
+    this.dirty = false;
+    this.onFrame(clock.time, posing);
+    const scripted = performance.now();
+    this.draw();
+    const n = this.samples++ % SAMPLES;
+    this.scriptTimes[n] = scripted - began;
+    this.submitTimes[n] = performance.now() - scripted;
+    this.frameTimes[n] = now;
+  };
+
+  private followActive(): void {
+    const { active } = this;
+    if (!this.display.follow || !active) {
+      this.orbit.follow(null);
+      return;
+    }
+    this.orbit.follow(active.jointPosition(active.rootJoint, this.point).add(active.root.position));
+  }
+
+  draw(): void {
+    const { renderer, orbit } = this;
+    const box = this.shadowCenter();
+    this.lights.fit(box, this.stageSize);
+    renderer.info.reset();
+    renderer.clear();
+    renderer.render(this.scene, orbit.camera);
+    if (this.display.bones || this.display.axes) {
+      renderer.clearDepth();
+      renderer.render(this.overlay, orbit.camera);
+    }
+  }
+
+  /** Shadows follow what walks away. */
+  private readonly shadowPoint = new THREE.Vector3();
+  private shadowCenter(): THREE.Vector3 {
+    const center = this.shadowPoint.set(0, 0, 0);
+    let count = 0;
+    for (const actor of this.actors) {
+      if (!actor.visible) continue;
+      center.add(actor.jointPosition(actor.rootJoint, this.point)).add(actor.root.position);
+      count++;
+    }
+    if (count > 0) center.divideScalar(count);
+    else center.set(0, 0.9, 0);
+    return center;
+  }
+
+  stats(): FrameStats {
+    const count = Math.min(this.samples, SAMPLES);
+    const median = (values: Float64Array) => [...values.subarray(0, count)].sort((a, b) => a - b)[count >> 1] ?? 0;
+    const newest = this.frameTimes[(this.samples + SAMPLES - 1) % SAMPLES];
+    const recent = this.frameTimes.subarray(0, count).filter((t) => newest - t < 1000 && performance.now() - newest < 500);
+    return {
+      fps: recent.length > 1 ? ((recent.length - 1) * 1000) / Math.max(1, newest - Math.min(...recent)) : 0,
+      script: median(this.scriptTimes),
+      submit: median(this.submitTimes),
+      drawCalls: this.renderer.info.render.calls,
+      triangles: this.renderer.info.render.triangles,
+    };
+  }
+
+  resetStats(): void {
+    this.samples = 0;
+  }
+
+  // ---- pointing ----------------------------------------------------------------------------------------------------
+
+  /** Where a point of an actor's space is on the canvas, in CSS pixels, and how far from the camera. */
+  project(actor: Actor, point: THREE.Vector3): [number, number, number] {
+    const { camera } = this.orbit;
+    point.add(actor.root.position);
+    const distance = point.distanceTo(camera.position);
+    point.project(camera);
+    const { clientWidth: w, clientHeight: h } = this.canvas;
+    return [(0.5 + 0.5 * point.x) * w, (0.5 - 0.5 * point.y) * h, point.z > 1 ? Infinity : distance];
+  }
+
+  /** The joint under the pointer: the nearest joint or bone on the screen, within a few pixels. */
+  pick(x: number, y: number, reach: number): { actor: Actor; joint: number } | null {
+    let best: { actor: Actor; joint: number } | null = null;
+    let nearest = reach;
+    for (const actor of this.actors) {
+      if (!actor.visible) continue;
+      const screen = new Float64Array(3 * actor.rig.count);
+      for (let joint = 0; joint < actor.rig.count; joint++)
+        screen.set(this.project(actor, actor.jointPosition(joint, this.point)), 3 * joint);
+      const consider = (joint: number, distance: number) => {
+        if (distance < nearest) {
+          nearest = distance;
+          best = { actor, joint };
+        }
+      };
+      for (let joint = 0; joint < actor.rig.count; joint++) {
+        const [jx, jy, depth] = screen.subarray(3 * joint, 3 * joint + 3);
+        if (depth === Infinity) continue;
+        consider(joint, 0.8 * Math.hypot(jx - x, jy - y));
+        const parent = actor.rig.parents[joint];
+        if (parent < 0 || screen[3 * parent + 2] === Infinity) continue;
+        const px = screen[3 * parent], py = screen[3 * parent + 1];
+        const length = (jx - px) ** 2 + (jy - py) ** 2;
+        const u = length > 0 ? Math.max(0, Math.min(1, ((x - px) * (jx - px) + (y - py) * (jy - py)) / length)) : 0;
+        consider(parent, Math.hypot(px + u * (jx - px) - x, py + u * (jy - py) - y) + 1);
+      }
+    }
+    return best;
+  }
+
+  screenshot(): Promise<Blob> {
+    this.draw();
+    return new Promise((resolve, reject) =>
+      this.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the picture could not be made"))), "image/png"),
+    );
+  }
+
+  dispose(): void {
+    cancelAnimationFrame(this.handle);
+    this.renderer.dispose();
+  }
+}
+
+/** A soft vertical gradient with a little noise against banding. */
+function backdrop(top: string, bottom: string): THREE.Texture {
+  const canvas = document.createElement("canvas");
+  canvas.width = 256;
+  canvas.height = 256;
+  const context = canvas.getContext("2d")!;
+  const gradient = context.createLinearGradient(0, 0, 0, 256);
+  gradient.addColorStop(0, top);
+  gradient.addColorStop(1, bottom);
+  context.fillStyle = gradient;
+  context.fillRect(0, 0, 256, 256);
+  const pixels = context.getImageData(0, 0, 256, 256);
+  let seed = 1;
+  for (let i = 0; i < pixels.data.length; i += 4) {
+    seed = (seed * 16807) % 2147483647;
+    const noise = (seed / 2147483647 - 0.5) * 2.4;
+    for (let c = 0; c < 3; c++) pixels.data[i + c] += noise;
+  }
+  context.putImageData(pixels, 0, 0);
+  const texture = new THREE.CanvasTexture(canvas);
+  texture.colorSpace = THREE.SRGBColorSpace;
+  return texture;
+}

@@ -1,0 +1,155 @@
+"""The studio's routes.
+
+========  =========================  ======================================================
+GET       ``/?token=…``              the page
+GET       ``/assets/…``              its scripts and styles (the same for everyone; no token)
+WS        ``/api/events?token=…``    messages, see `keypose.studio.messages`
+GET       ``/api/scenes/{id}``       one scene as a binary container
+POST      ``/api/scenes``            dropped files as a binary container
+========  =========================  ======================================================
+
+Only these exist. Static files are read into memory at start and looked up by their exact path, so there is no path to
+climb out of.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+from keypose.errors import KeyposeError
+from keypose.studio.session import Session
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
+
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".json": "application/json",
+    ".woff2": "font/woff2",
+    ".png": "image/png",
+}
+
+
+def read_static() -> dict[str, bytes]:
+    """The built client: URL path -> bytes.
+
+    Raises:
+        KeyposeError: where the client was not built.
+    """
+    root = resources.files("keypose.studio") / "static"
+    files: dict[str, bytes] = {}
+
+    def walk(folder: Any, prefix: str) -> None:
+        for entry in folder.iterdir():
+            if entry.is_dir():
+                walk(entry, f"{prefix}{entry.name}/")
+            elif any(entry.name.endswith(suffix) for suffix in _TYPES):
+                files[f"{prefix}{entry.name}"] = entry.read_bytes()
+
+    if root.is_dir():
+        walk(root, "/")
+    if "/index.html" not in files:
+        raise KeyposeError("the studio's client is not built; run: python hatch_build.py (in a checkout)")
+    return files
+
+
+def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
+    """The application, without its guard."""
+    from starlette.applications import Starlette
+    from starlette.responses import JSONResponse, PlainTextResponse, Response
+    from starlette.routing import Route, WebSocketRoute
+
+    def file_response(path: str) -> Response:
+        return Response(static[path], media_type=_TYPES[path[path.rindex(".") :]])
+
+    async def page(request: Request) -> Response:
+        return file_response("/index.html")
+
+    async def asset(request: Request) -> Response:
+        path = request.url.path
+        if path not in static or path == "/index.html":
+            return PlainTextResponse("404: not here\n", 404)
+        return file_response(path)
+
+    async def scene(request: Request) -> Response:
+        data = session.payload(request.path_params["id"])
+        if data is None:
+            return PlainTextResponse("404: no such scene\n", 404)
+        return Response(data, media_type="application/octet-stream")
+
+    async def upload(request: Request) -> Response:
+        limit = session.upload_limit_bytes
+        too_large = JSONResponse(
+            {"opened": [], "errors": [f"more than {limit / 2**20:.0f} MiB cannot be dropped"]}, 413
+        )
+        announced = request.headers.get("content-length", "0")
+        if not announced.isdigit() or int(announced) > limit:
+            return too_large
+        data = bytearray()
+        async for chunk in request.stream():
+            data += chunk
+            if len(data) > limit:
+                return too_large
+        try:
+            result = await session.open_upload(bytes(data))
+        except KeyposeError as error:
+            return JSONResponse({"opened": [], "errors": [str(error)]}, 400)
+        return JSONResponse(dataclasses.asdict(result))
+
+    return Starlette(
+        routes=[
+            Route("/", page),
+            WebSocketRoute("/api/events", lambda socket: _events(session, socket)),
+            Route("/api/scenes/{id}", scene),
+            Route("/api/scenes", upload, methods=["POST"]),
+            Route("/{path:path}", asset),
+        ]
+    )
+
+
+async def _events(session: Session, socket: WebSocket) -> None:
+    """Send what the session says to one browser; take its acknowledgements and requests."""
+    await socket.accept()
+    outbox = session.join()
+
+    async def send() -> None:
+        while True:
+            await socket.send_bytes(await outbox.next())
+
+    sender = asyncio.create_task(send())
+    try:
+        async for text in socket.iter_text():
+            message = _message(text)
+            match message.get("type"):
+                case "acknowledge" if isinstance(message.get("sequence"), int):
+                    outbox.acknowledge(message["sequence"])
+                case "close_scene":
+                    session.close(str(message.get("id")))
+                case _:
+                    await socket.close(1003, "unknown message")
+                    break
+    finally:
+        session.leave(outbox)
+        sender.cancel()
+        with suppress(asyncio.CancelledError, RuntimeError, OSError):
+            await sender
+
+
+def _message(text: str) -> dict[str, Any]:
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return message if isinstance(message, dict) else {}

@@ -1,0 +1,140 @@
+"""The opened scenes of one studio and the browsers that look at them.
+
+Everything here runs on the event loop; reading files and building payloads happens in threads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Iterable
+from pathlib import Path
+
+from keypose import __version__
+from keypose.errors import KeyposeError
+from keypose.model import Scene
+from keypose.studio import messages
+from keypose.studio.outbox import Outbox
+from keypose.studio.payload import encode
+from keypose.studio.uploads import open_upload
+
+UPLOAD_LIMIT_BYTES = 512 * 1024 * 1024
+
+
+class Session:
+    """Scenes by id, kept as ready payloads."""
+
+    def __init__(self, upload_limit_bytes: int = UPLOAD_LIMIT_BYTES) -> None:
+        self.upload_limit_bytes = upload_limit_bytes
+        self.outboxes: set[Outbox] = set()
+        self._scenes: dict[str, tuple[messages.SceneEntry, bytes]] = {}
+        self._expected = 0
+        self._ids = itertools.count(1)
+        self._jobs = itertools.count(1)
+        self._work = asyncio.Semaphore(2)  # more readers at once would only take memory from each other
+
+    # ---- what browsers see -------------------------------------------------------------------------------------------
+
+    def join(self) -> Outbox:
+        """A new browser: it is greeted with what is open."""
+        outbox = Outbox()
+        entries = [entry for entry, _ in self._scenes.values()]
+        outbox.put(
+            messages.Hello(
+                type="hello",
+                protocol=messages.PROTOCOL,
+                version=__version__,
+                upload_limit_bytes=self.upload_limit_bytes,
+                scenes=entries,
+                expected=len(entries) + self._expected,
+            )
+        )
+        self.outboxes.add(outbox)
+        return outbox
+
+    def leave(self, outbox: Outbox) -> None:
+        """A browser is gone."""
+        self.outboxes.discard(outbox)
+
+    def broadcast(self, message: messages.ServerMessage, replaces: str | None = None) -> None:
+        """Tell every browser."""
+        for outbox in self.outboxes:
+            outbox.put(message, replaces)
+
+    def payload(self, id: str) -> bytes | None:
+        """The container of a scene, or None."""
+        found = self._scenes.get(id)
+        return None if found is None else found[1]
+
+    # ---- opening and closing -----------------------------------------------------------------------------------------
+
+    async def add(self, name: str, scene: Scene) -> messages.SceneEntry:
+        """Make a scene available."""
+        id = f"s{next(self._ids)}"
+        async with self._work:
+            data = await asyncio.to_thread(encode, scene, id=id, name=name)
+        entry = messages.SceneEntry(id, name, len(data))
+        self._scenes[id] = (entry, data)
+        self.broadcast(messages.SceneReady("scene_ready", entry))
+        return entry
+
+    async def add_all(self, scenes: Iterable[tuple[str, Scene]]) -> None:
+        """Make scenes available one after the other, in their order."""
+        waiting = list(scenes)
+        self._expected += len(waiting)
+        for name, scene in waiting:
+            try:
+                await self.add(name, scene)
+            except KeyposeError as error:
+                self.broadcast(messages.Failure("failure", f"{name} cannot be shown", str(error)))
+            finally:
+                self._expected -= 1
+
+    def close(self, id: str) -> None:
+        """Forget a scene."""
+        if self._scenes.pop(id, None) is not None:
+            self.broadcast(messages.SceneClosed("scene_closed", id))
+
+    async def open_upload(self, data: bytes) -> messages.UploadResult:
+        """Open dropped files.
+
+        Raises:
+            FormatError: where the upload itself is damaged.
+        """
+        job = f"upload {next(self._jobs)}"
+        loop = asyncio.get_running_loop()
+
+        def report(label: str, fraction: float) -> None:
+            message = messages.Progress("progress", job, f"Reading {label}", fraction, done=False)
+            loop.call_soon_threadsafe(self.broadcast, message, job)
+
+        try:
+            async with self._work:
+                scenes, errors = await asyncio.to_thread(open_upload, data, open_path, report)
+            opened: list[messages.SceneEntry] = []
+            for name, scene in scenes:
+                try:
+                    opened.append(await self.add(name, scene))
+                except KeyposeError as error:
+                    errors.append(f"{name}: {error}")
+            return messages.UploadResult(opened, errors)
+        finally:
+            self.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
+
+
+def open_path(path: Path) -> Scene:
+    """The scene of one file on disk (never a sample reference)."""
+    from keypose import io
+
+    return io.load(path)
+
+
+def open_references(references: Iterable[str]) -> list[tuple[str, Scene]]:
+    """Name and scene of files and ``sample:`` references.
+
+    Raises:
+        FormatError, UnknownName: for the first one that cannot be opened.
+    """
+    from keypose import samples
+
+    return [(r if r.startswith("sample:") else Path(r).name, samples.open_scene(r)) for r in references]
