@@ -241,3 +241,20 @@ def test_a_rotation_is_found_by_descent(torch):
         loss.backward()
         adam.step()
     assert float(quat.angle_between(quat.from_rotation_vector(v.detach()), target)) < 1e-2
+
+
+def test_pymotion_agrees():
+    """An independent library for animation, with the same wxyz convention."""
+    peer = pytest.importorskip("pymotion.rotations.quat", reason="upc-pymotion is not installed")
+    dual = pytest.importorskip("pymotion.rotations.dual_quat")
+    a, b, v, w, t = some_quats(50), some_quats(50), some(50, 3), some(50, 3), some(50, 3)
+    np.testing.assert_allclose(quat.multiply(a, b), peer.mul(a, b), atol=1e-14)
+    np.testing.assert_allclose(quat.rotate(a, v), peer.mul_vec(a, v), atol=1e-14)
+    for u in (0.0, 0.3, 1.0):
+        np.testing.assert_allclose(quat.shortest(quat.slerp(a, b, u)), quat.shortest(peer.slerp(a, b, u)), atol=1e-7)
+    np.testing.assert_allclose(
+        quat.rotate(quat.from_two_vectors(v, w), v), peer.mul_vec(peer.from_to(v, w), v), atol=1e-6
+    )
+    np.testing.assert_allclose(dualquat.from_rigid(a, t), dual.from_rotation_translation(a, t), atol=1e-14)
+    flipped = a * np.where(some(50, 1) < 0, -1, 1)
+    np.testing.assert_array_equal(quat.align_signs(flipped), peer.unroll(flipped, axis=0))

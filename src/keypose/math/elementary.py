@@ -7,6 +7,7 @@ value nor its gradient becomes NaN.
 
 from __future__ import annotations
 
+from functools import cache
 from math import factorial
 from types import ModuleType
 from typing import Any
@@ -17,13 +18,14 @@ import numpy as np
 from keypose.arrays import Array, checked, namespace
 from keypose.errors import ShapeError
 
-# sin(x)/x, cos(x), (cos(x) - sin(x)/x) / x² and atan(x)/x as power series of x².
-_SINC = [(-1) ** k / factorial(2 * k + 1) for k in range(7)]
-_COS = [(-1) ** k / factorial(2 * k) for k in range(8)]
-_SINC_SLOPE = [(-1) ** k * 2 * k / factorial(2 * k + 1) for k in range(1, 9)]
-_ATAN = [(-1) ** k / (2 * k + 1) for k in range(9)]
-_ATAN_GAP = [(-1) ** k / (2 * k + 3) for k in range(9)]
-_SERIES_BELOW = 0.01  # of x²: there the series are exact to float64 and the direct forms have well-behaved gradients
+# Below this x² the power series are exact to float64, and above it the direct forms still have accurate gradients.
+_SERIES_BELOW = 1e-3
+# sin(x)/x, cos(x), (cos(x) - sin(x)/x) / x², atan(x)/x and (1 - atan(x)/x) / x² as power series of x².
+_SINC = [(-1) ** k / factorial(2 * k + 1) for k in range(5)]
+_COS = [(-1) ** k / factorial(2 * k) for k in range(6)]
+_SINC_SLOPE = [(-1) ** k * 2 * k / factorial(2 * k + 1) for k in range(1, 8)]
+_ATAN = [(-1) ** k / (2 * k + 1) for k in range(7)]
+_ATAN_GAP = [(-1) ** k / (2 * k + 3) for k in range(7)]
 
 
 def take(**named: tuple[Any, tuple[int, ...]]) -> tuple[Any, ...]:
@@ -142,12 +144,18 @@ def cross(xp: ModuleType, a: Array, b: Array) -> Array:
 
 def eps(xp: ModuleType, array: Array) -> float:
     """The distance from 1 to the next number of this precision."""
-    return float(xp.finfo(array.dtype).eps)
+    return _limits(xp, array.dtype)[0]
 
 
 def vanishes(xp: ModuleType, squared: Array) -> Array:
     """Where a squared norm is zero or too small to be divided by."""
-    return squared < float(xp.finfo(squared.dtype).smallest_normal)
+    return squared < _limits(xp, squared.dtype)[1]
+
+
+@cache
+def _limits(xp: ModuleType, dtype: Any) -> tuple[float, float]:
+    info = xp.finfo(dtype)
+    return float(info.eps), float(info.smallest_normal)
 
 
 def root(xp: ModuleType, squared: Array) -> Array:
@@ -181,8 +189,8 @@ def perpendiculars(xp: ModuleType, v: Array) -> tuple[Array, Array]:
 
 
 def _series(coefficients: list[float], t: Array) -> Array:
-    total = coefficients[-1] + 0.0 * t
-    for c in reversed(coefficients[:-1]):
+    total = coefficients[-2] + coefficients[-1] * t
+    for c in reversed(coefficients[:-2]):
         total = c + t * total
     return total
 
@@ -195,11 +203,18 @@ def cos_sinc(xp: ModuleType, squared: Array) -> tuple[Array, Array]:
     return xp.where(small, _series(_COS, t), xp.cos(x)), xp.where(small, _series(_SINC, t), xp.sin(x) / x)
 
 
-def sinc(xp: ModuleType, squared: Array) -> Array:
-    """sin(x)/x of x = sqrt(squared), smooth at 0."""
-    small = squared < _SERIES_BELOW
-    x = xp.sqrt(xp.where(small, 1.0, squared))
-    return xp.where(small, _series(_SINC, xp.where(small, squared, 0.0)), xp.sin(x) / x)
+def slerp_weights(xp: ModuleType, arc_squared: Array, u: Array) -> tuple[Array, Array]:
+    """sin((1 - u) x) / sin(x) and sin(u x) / sin(x) of an arc x = sqrt(arc_squared), smooth at x = 0."""
+    v = 1.0 - u
+    u_squared, v_squared = u * u, v * v
+    small = arc_squared * (1.0 + u_squared + v_squared) < _SERIES_BELOW
+    arc = xp.sqrt(xp.where(small, 1.0, arc_squared))
+    t = xp.where(small, arc_squared, 0.0)
+    whole_series, whole = _series(_SINC, t), xp.sin(arc)
+    return (
+        xp.where(small, v * _series(_SINC, v_squared * t) / whole_series, xp.sin(v * arc) / whole),
+        xp.where(small, u * _series(_SINC, u_squared * t) / whole_series, xp.sin(u * arc) / whole),
+    )
 
 
 def sinc_slope(xp: ModuleType, squared: Array) -> Array:

@@ -33,7 +33,7 @@ from keypose.math.elementary import (
     perpendiculars,
     scaled,
     sign,
-    sinc,
+    slerp_weights,
     take,
     unit,
     vanishes,
@@ -47,10 +47,11 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 def identity(batch_shape: tuple[int, ...] = (), *, like: Array | None = None) -> Array:
     """No rotation, (*batch_shape, 4); float64 NumPy, or of the library and precision of ``like``."""
+    values = np.broadcast_to(np.asarray(_IDENTITY), (*batch_shape, 4)).copy()
     if like is None:
-        return np.broadcast_to(np.asarray(_IDENTITY), (*batch_shape, 4)).copy()
-    xp, array = take(like=(like, ()))
-    return xp.broadcast_to(beside(xp, _IDENTITY, array), (*batch_shape, 4))
+        return values
+    xp, reference = take(like=(like, ()))
+    return beside(xp, values, reference)
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -166,17 +167,13 @@ def slerp(a: Array, b: Array, u: Array) -> Array:
 
     Exactly a at u = 0, and b (or -b, the same rotation) at u = 1. Where both ways are equally long, b's sign decides.
     Source: Shoemake, Animating Rotation with Quaternion Curves (SIGGRAPH 1985); lecture notes, Slerp. The angle comes
-    from atan2(|a - b|, |a + b|), which is accurate at every angle (Kahan), and the two weights are ratios of sinc, which
-    need no case for equal rotations.
+    from atan2(|a - b|, |a + b|), which is accurate at every angle (Kahan), and the two weights are ratios of sines, by
+    their series where the arc is short.
     """
     xp, a, b, u = take(a=(a, (4,)), b=(b, (4,)), u=(u, ()))
     u = matched(xp, u, a)
     b = _align(xp, a, b)
-    arc_squared = _half_angle_squared(xp, a, b)
-    v = 1.0 - u
-    whole = sinc(xp, arc_squared)
-    weight_a = v * sinc(xp, v * v * arc_squared) / whole
-    weight_b = u * sinc(xp, u * u * arc_squared) / whole
+    weight_a, weight_b = slerp_weights(xp, _arc_squared(xp, a, b), u)
     return join(xp, *(weight_a * p + weight_b * q for p, q in zip(parts(a), parts(b), strict=True)))
 
 
@@ -415,7 +412,7 @@ def _align(xp: Any, a: Array, b: Array) -> Array:
     return scaled(xp, sign(xp, dot(xp, a, b)), b)
 
 
-def _half_angle_squared(xp: Any, a: Array, b: Array) -> Array:
+def _arc_squared(xp: Any, a: Array, b: Array) -> Array:
     """The square of the arc between aligned unit quaternions, a smooth function also at a = b."""
     minus, plus = a - b, a + b
     chord_squared = dot(xp, minus, minus)
