@@ -77,8 +77,8 @@ DOUBLES = Vector(64, WIDTH // 2)
 INDICES = IndexVector(WIDTH)
 
 
-def vector_of(array: types.Array) -> Vector:
-    """The vector type that belongs to an array's elements."""
+def vector_of(array: types.Array | types.CPointer) -> Vector:
+    """The vector type that belongs to an array's or pointer's elements."""
     return DOUBLES if array.dtype == types.float64 else FLOATS
 
 
@@ -102,12 +102,14 @@ def broadcast(builder, scalar, lanes):
 
 
 def address(context, builder, sig, args, which, element, offset=None):
-    """Pointer to the element of array argument ``which`` at the index in the next argument (plus ``offset``)."""
-    array = context.make_array(sig.args[which])(context, builder, args[which])
+    """Pointer to the element of argument ``which``, an array or pointer, at the index in the next (plus ``offset``)."""
+    data = args[which]
+    if isinstance(sig.args[which], types.Array):
+        data = context.make_array(sig.args[which])(context, builder, data).data
     index = context.cast(builder, args[which + 1], sig.args[which + 1], types.intp)
     if offset is not None:
         index = builder.add(index, offset)
-    return builder.bitcast(builder.gep(array.data, [index]), element.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), element.as_pointer())
 
 
 def read(builder, pointer, align):
@@ -129,6 +131,20 @@ def call_llvm(builder, name, result, args):
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------------
+
+
+@intrinsic
+def pointer(typing, array):
+    """The bare address of a flat array, which all functions of this module take in place of the array.
+
+    Numba counts references whenever an array is handed to a helper that branches, in every round of a loop; a pointer
+    costs nothing. The array itself must stay alive, as a kernel's arguments do.
+    """
+
+    def generate(context, builder, sig, args):
+        return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+    return types.CPointer(array.dtype)(array), generate
 
 
 @intrinsic
@@ -295,6 +311,10 @@ def _absolute(builder, vector, x):
     return call_llvm(builder, f"llvm.fabs.{_suffix(vector)}", vector.llvm, [x])
 
 
+def _maximum(builder, vector, a, b):
+    return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+
 def _flip_sign(builder, vector, a, b):
     sign = builder.and_(_bit_pattern(builder, vector, b), _bit_constant(vector, -(1 << (vector.bits - 1))))
     return builder.bitcast(builder.xor(_bit_pattern(builder, vector, a), sign), vector.llvm)
@@ -317,6 +337,7 @@ def _rsqrt(builder, vector, x):
 sqrt = _unary(_sqrt, "Square root.")
 absolute = _unary(_absolute, "The lanes without their signs.")
 rsqrt = _unary(_rsqrt, "1 / sqrt(x), to about 23 bits for float32.")
+maximum = _binary(_maximum, "The greater of each two lanes; b where one of them is NaN.")
 flip_sign = _binary(_flip_sign, "a where b >= 0, -a where b < 0.")
 
 
