@@ -250,8 +250,8 @@ def test_pymotion_agrees():
     a, b, v, w, t = some_quats(50), some_quats(50), some(50, 3), some(50, 3), some(50, 3)
     np.testing.assert_allclose(quat.multiply(a, b), peer.mul(a, b), atol=1e-14)
     np.testing.assert_allclose(quat.rotate(a, v), peer.mul_vec(a, v), atol=1e-14)
-    for u in (0.0, 0.3, 1.0):
-        np.testing.assert_allclose(quat.shortest(quat.slerp(a, b, u)), quat.shortest(peer.slerp(a, b, u)), atol=1e-7)
+    for u in (0.0, 0.3, 1.0):  # its slerp adds an epsilon to the sine
+        np.testing.assert_allclose(quat.shortest(quat.slerp(a, b, u)), quat.shortest(peer.slerp(a, b, u)), atol=2e-6)
     np.testing.assert_allclose(
         quat.rotate(quat.from_two_vectors(v, w), v), peer.mul_vec(peer.from_to(v, w), v), atol=1e-6
     )
