@@ -257,4 +257,4 @@ def test_pymotion_agrees():
     )
     np.testing.assert_allclose(dualquat.from_rigid(a, t), dual.from_rotation_translation(a, t), atol=1e-14)
     flipped = a * np.where(some(50, 1) < 0, -1, 1)
-    np.testing.assert_array_equal(quat.align_signs(flipped), peer.unroll(flipped, axis=0))
+    np.testing.assert_array_equal(quat.align_signs(flipped), peer.unroll(flipped, 0))
