@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.accessors import Arrays
-from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.accessors import PER_ITEM, Arrays
+from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.document import Animation, Document, Sampler
 from keypose.io.gltf.hierarchy import OWN
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
@@ -103,6 +103,7 @@ class Animations:
         prints: dict[str, set[tuple[Any, ...]]] = {}
         animations = range(len(self._document.animations))
         for instance in instances:
+            self._arrays.take(len(instance.targets) * PER_ITEM, self._document.nodes[instance.node].where)
             for index, target in enumerate(instance.targets):
                 moves = [self.weights.get((a, instance.node)) for a in animations]
                 seen = (
@@ -137,16 +138,12 @@ class Animations:
 
     def clips(self, joint_names: Sequence[str], joint_of_node: Mapping[int, int], morphs: MorphChannels) -> list[Clip]:
         """One clip for each animation."""
-        names: set[str] = set()
+        unique = UniqueNames()
         clips: list[Clip] = []
         for number, animation in enumerate(self._document.animations):
-            name = base = animation.name or f"animation_{number}"
-            again = 2
-            while name in names:
-                name, again = f"{base}_{again}", again + 1
-            if animation.name and name != base:
-                self._notes.add(f"several animations are named '{base}'; one became '{name}'")
-            names.add(name)
+            name = unique.add(animation.name or f"animation_{number}")
+            if animation.name and name != animation.name:
+                self._notes.add(f"several animations are named '{animation.name}'; one became '{name}'")
             curves = self._curves(number, animation, joint_names, joint_of_node, morphs)
             start = _own_number(animation, "start_s", -1e6, 0)
             if start is not None:  # the writer moved it, because the format has no time before 0
@@ -172,6 +169,7 @@ class Animations:
                 channels = morphs.of_node.get(node)
                 if keys is None or channels is None:
                     continue
+                self._arrays.take(len(channels) * PER_ITEM, target.where)
                 for index, channel in enumerate(channels):
                     key = Channel(morphs.names[channel], Property.WEIGHT)
                     if key not in curves:  # shared channels have equal keys

@@ -4,11 +4,32 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn, cast
 
 from keypose.errors import FormatError
+
+
+class UniqueNames:
+    """Gives every name once: the second "arm" becomes "arm_2"."""
+
+    def __init__(self, reserved: Iterable[str] = ()) -> None:
+        self._taken = set(reserved)
+        self._seen: set[str] = set()
+        self._next: dict[str, int] = {}
+
+    def add(self, name: str) -> str:
+        """The name itself, or the next free one with a number."""
+        new = name
+        if name in self._seen:
+            number = self._next.get(name, 2)
+            while f"{name}_{number}" in self._seen or f"{name}_{number}" in self._taken:
+                number += 1
+            self._next[name] = number + 1
+            new = f"{name}_{number}"
+        self._seen.add(new)
+        return new
 
 
 class Notes:
@@ -104,10 +125,12 @@ class Json:
             for name in member.object():
                 yield name, member.need(name)
 
-    def text(self, key: str, default: str = "") -> str:
-        """A text member."""
+    def text(self, key: str, default: str | None = None) -> str:
+        """A text member; it has to be there where no default is given."""
         member = self.get(key)
-        return default if member is None else cast("str", member._typed(str, "a text"))
+        if member is None and default is not None:
+            return default
+        return cast("str", self.need(key)._typed(str, "a text"))
 
     def flag(self, key: str) -> bool:
         """A true-or-false member, false where it is missing."""

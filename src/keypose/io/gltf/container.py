@@ -38,8 +38,9 @@ def open_container(path: Path, notes: Notes) -> Container:
     data = path.read_bytes()
     folder = path.resolve().parent
     if data[:4] != MAGIC:
-        if not data.strip():
-            raise FormatError("the file is empty", where="byte 0")
+        if not data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
+            what = "is neither GLB, which starts with 'glTF', nor JSON" if data.strip() else "is empty"
+            raise FormatError(f"the file {what}", where="byte 0")
         return Container(data, None, folder)
     if len(data) < 12:
         raise FormatError("the GLB header is cut off", where=f"byte {len(data)}")

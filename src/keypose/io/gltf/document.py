@@ -405,7 +405,7 @@ def _sparse(item: Json, sizes: Mapping[str, int]) -> Sparse:
 def _image(item: Json, sizes: Mapping[str, int]) -> ImageItem:
     uri = item.text("uri") if "uri" in item.object() else None
     view = item.index("bufferView", sizes["bufferViews"], "buffer view")
-    return ImageItem(item.text("name"), uri, view, item.text("mimeType"), item.where)
+    return ImageItem(item.text("name", ""), uri, view, item.text("mimeType", ""), item.where)
 
 
 def _texture(item: Json, sizes: Mapping[str, int], samplers: list[dict[str, Any]]) -> Texture:
@@ -456,7 +456,7 @@ def _mesh(item: Json, sizes: Mapping[str, int]) -> MeshItem:
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         names = None
     return MeshItem(
-        name=item.text("name"),
+        name=item.text("name", ""),
         primitives=primitives,
         weights=item.numbers("weights", None),
         target_names=None if names is None else tuple(names),
@@ -470,14 +470,14 @@ def _skin(item: Json, sizes: Mapping[str, int]) -> SkinItem:
     if not joints:
         item.fail("a skin needs joints")
     inverse_bind = item.index("inverseBindMatrices", sizes["accessors"], "accessor")
-    return SkinItem(item.text("name"), joints, inverse_bind, item.where)
+    return SkinItem(item.text("name", ""), joints, inverse_bind, item.where)
 
 
 def _node(item: Json, sizes: Mapping[str, int]) -> Node:
     extensions = item.get("extensions")
     others = [] if extensions is None else list(extensions.object())
     return Node(
-        name=item.text("name"),
+        name=item.text("name", ""),
         children=item.indices("children", sizes["nodes"], "node"),
         mesh=item.index("mesh", sizes["meshes"], "mesh"),
         skin=item.index("skin", sizes["skins"], "skin"),
@@ -493,7 +493,7 @@ def _node(item: Json, sizes: Mapping[str, int]) -> Node:
 
 
 def _scene(item: Json, sizes: Mapping[str, int]) -> SceneItem:
-    return SceneItem(item.text("name"), item.indices("nodes", sizes["nodes"], "node"), item.extras())
+    return SceneItem(item.text("name", ""), item.indices("nodes", sizes["nodes"], "node"), item.extras())
 
 
 def _animation(item: Json, sizes: Mapping[str, int]) -> Animation:
@@ -507,7 +507,7 @@ def _animation(item: Json, sizes: Mapping[str, int]) -> Animation:
             target.fail(f"expected a path of {', '.join(PATHS)}, got '{path[:40]}'")
         sampler = channel.need("sampler").as_integer(0, len(samplers), "sampler")
         targets.append(Target(sampler, node, path, channel.where))
-    return Animation(item.text("name"), samplers, tuple(targets), item.extras(), item.where)
+    return Animation(item.text("name", ""), samplers, tuple(targets), item.extras(), item.where)
 
 
 def _sampler(item: Json, sizes: Mapping[str, int]) -> Sampler:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.document import Document, Node
 from keypose.model import Pose, Skeleton
 
@@ -76,7 +76,7 @@ def build(document: Document, notes: Notes) -> tuple[Hierarchy, str]:
     carriers = {n for n in order if own_extras(document.nodes[n].extras).get(CARRIER) is True}
     kept = [n for n in order if n not in carriers]
     joint_of_node = {node: joint for joint, node in enumerate(kept)}
-    names = unique_names([_node_name(document, n) for n in kept], [bool(document.nodes[n].name) for n in kept], notes)
+    names = _unique([_node_name(document, n) for n in kept], [bool(document.nodes[n].name) for n in kept], notes)
     translations = np.zeros((len(kept), 3))
     rotations = np.tile([1.0, 0.0, 0.0, 0.0], (len(kept), 1))
     scales = np.ones((len(kept), 3))
@@ -123,7 +123,10 @@ def _roots(document: Document, parents: Sequence[int], notes: Notes) -> tuple[li
         roots = list(dict.fromkeys(scene.nodes))
         for root in roots:
             if parents[root] >= 0:
-                raise FormatError(f"nodes[{root}] is no root: nodes[{parents[root]}] is its parent", where="scenes")
+                raise FormatError(
+                    f"nodes[{root}] is no root: nodes[{parents[root]}] is its parent",
+                    where=f"scenes[{document.scene or 0}].nodes",
+                )
     else:
         roots = every
     # Joints may lie outside the scene by mistake; without them the skin could not be shown.
@@ -171,25 +174,10 @@ def _node_name(document: Document, index: int) -> str:
     return f"node_{index}"
 
 
-def unique_names(names: Sequence[str], given: Sequence[bool], notes: Notes) -> list[str]:
-    """Names without repetition: the second "arm" becomes "arm_2"."""
-    taken = set(names)
-    seen: set[str] = set()
-    result: list[str] = []
-    next_number: dict[str, int] = {}
-    renamed: list[str] = []
-    for name in names:
-        new = name
-        if name in seen:
-            number = next_number.get(name, 2)
-            while f"{name}_{number}" in taken:
-                number += 1
-            next_number[name] = number + 1
-            new = f"{name}_{number}"
-            taken.add(new)
-            renamed.append(new)
-        seen.add(new)
-        result.append(new)
+def _unique(names: Sequence[str], given: Sequence[bool], notes: Notes) -> list[str]:
+    unique = UniqueNames(reserved=names)
+    result = [unique.add(name) for name in names]
+    renamed = [new for name, new in zip(names, result, strict=True) if new != name]
     if renamed:
         shown = ", ".join(renamed[:6]) + (", …" if len(renamed) > 6 else "")
         notes.add(f"{len(renamed)} nodes had the name of another and were numbered: {shown}")

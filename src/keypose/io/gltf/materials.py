@@ -71,7 +71,7 @@ class Materials:
         if beyond:
             extras["gltf"] = beyond
         return Material(
-            name=item.text("name"),
+            name=item.text("name", ""),
             base_color=(color[0], color[1], color[2], color[3]),
             metallic=pbr.number("metallicFactor", 1.0),
             roughness=pbr.number("roughnessFactor", 1.0),

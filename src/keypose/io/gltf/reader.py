@@ -11,7 +11,7 @@ import numpy as np
 
 from keypose.errors import FormatError, ShapeError
 from keypose.io.gltf import hierarchy, humanoid
-from keypose.io.gltf.accessors import Arrays
+from keypose.io.gltf.accessors import PER_ITEM, Arrays
 from keypose.io.gltf.animations import Animations, MorphChannels, MorphInstance
 from keypose.io.gltf.checking import Json, Notes, parse_json
 from keypose.io.gltf.container import open_container
@@ -41,6 +41,8 @@ def read(path: Path) -> Scene:
         return _scene(path, root, document, arrays, materials, notes)
     except FormatError as error:
         raise error.at(path) from None
+    except RecursionError:
+        raise FormatError("brackets are nested too deeply", where="JSON", path=path) from None
     except ShapeError as error:  # what no check of ours names better
         raise FormatError(str(error), path=path) from None
 
@@ -51,7 +53,7 @@ def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials
     animations = Animations(document, arrays, notes)
     channels = animations.channels(_morph_instances(document, tree, notes))
     clips = animations.clips(tree.skeleton.names, tree.joint_of_node, channels)
-    parts = _parts(document, tree, surfaces, materials, channels, notes)
+    parts = _parts(document, tree, arrays, surfaces, materials, channels, notes)
     _note_what_is_dropped(document, tree, notes)
     characters: tuple[Character, ...] = ()
     if tree.skeleton.joint_count:
@@ -97,6 +99,7 @@ def _morph_instances(document: Document, tree: Hierarchy, notes: Notes) -> list[
 def _parts(
     document: Document,
     tree: Hierarchy,
+    arrays: Arrays,
     surfaces: Surfaces,
     materials: Materials,
     channels: MorphChannels,
@@ -118,6 +121,7 @@ def _parts(
             surface = surfaces.surface(node.mesh, number)
             if surface is None:
                 continue
+            arrays.take(PER_ITEM, node.where)
             skin = None
             if node.skin is not None:
                 skin = surfaces.skin(node.skin, node.mesh, number, tree.joint_of_node)

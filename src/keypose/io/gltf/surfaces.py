@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from keypose.arrays import Ints
 from keypose.errors import FormatError, MissingExtra
 from keypose.io.gltf.accessors import Arrays
-from keypose.io.gltf.checking import Notes
+from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.compression import DracoMesh, unpack_draco
 from keypose.io.gltf.document import Document, MeshItem, Primitive, SkinItem
 from keypose.model import Mesh, MorphSet, Skin
@@ -307,17 +307,13 @@ def target_names(item: MeshItem, notes: Notes) -> tuple[str, ...]:
     given = item.target_names
     if given is not None and len(given) != count:
         notes.add(f"{item.where}: {len(given)} target names for {count} morph targets")
+    unique = UniqueNames()
     names: list[str] = []
-    seen: set[str] = set()
     for number in range(count):
         name = given[number] if given is not None and number < len(given) and given[number] else f"target_{number}"
-        unique, again = name, 2
-        while unique in seen:
-            unique, again = f"{name}_{again}", again + 1
-        if unique != name:
-            notes.add(f"{item.where}: morph target '{name}' appears more than once; one became '{unique}'")
-        seen.add(unique)
-        names.append(unique)
+        names.append(unique.add(name))
+        if names[-1] != name:
+            notes.add(f"{item.where}: morph target '{name}' appears more than once; one became '{names[-1]}'")
     return tuple(names)
 
 

@@ -41,7 +41,10 @@ def write(scene: Scene, path: Path, *, embed: bool = False) -> tuple[str, ...]:
     suffix = path.suffix.lower()
     if suffix not in (".glb", ".gltf"):
         raise FormatError(f"expected a name ending in .glb or .gltf, got '{path.suffix}'", path=path)
-    document, data = _Writer(scene, notes).document()
+    try:
+        document, data = _Writer(scene, notes).document()
+    except RecursionError:
+        raise FormatError("extras are nested too deeply", path=path) from None
     if suffix == ".glb":
         if data:
             document["buffers"] = [{"byteLength": len(data)}]
