@@ -308,16 +308,29 @@ def _extend(xp: ModuleType, curves: Sequence[Curve], result: Array, outside_s: A
     return _where(xp, outside_s != 0, moved, result)
 
 
-def _group_key(curve: Curve) -> tuple[Any, ...]:
-    return (
-        curve.times_s.tobytes(),
-        curve.modes.tobytes(),
-        curve.kind is CurveKind.ROTATION,
-        curve.before,
-        curve.after,
-        curve.out_tangents is None,
-        str(curve.values.dtype),
-    )
+def _groups(curves: Sequence[Curve]) -> list[list[int]]:
+    """Indices of curves that share key times, modes, kind, precision and extrapolation."""
+    # Exporters reuse one time array for many channels: compare contents only where the arrays differ.
+    contents: dict[int, bytes] = {}
+
+    def content(array: Array) -> bytes:
+        if id(array) not in contents:
+            contents[id(array)] = array.tobytes()
+        return contents[id(array)]
+
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for i, curve in enumerate(curves):
+        key = (
+            content(curve.times_s),
+            content(curve.modes),
+            curve.kind is CurveKind.ROTATION,
+            id(curve.before),
+            id(curve.after),
+            curve.out_tangents is None,
+            curve.values.dtype,
+        )
+        groups.setdefault(key, []).append(i)
+    return list(groups.values())
 
 
 def _over_rest(rows: list[int], curves: list[Curve], rest: Array, times: Array) -> Array:
@@ -325,15 +338,7 @@ def _over_rest(rows: list[int], curves: list[Curve], rest: Array, times: Array) 
 
     Curves with the same keys, as exporters write them for all joints, are evaluated together.
     """
-    groups: dict[tuple[Any, ...], list[int]] = {}
-    by_identity: dict[tuple[Any, ...], tuple[Any, ...]] = {}
-    for i, curve in enumerate(curves):
-        dtype, tangents = str(curve.values.dtype), curve.out_tangents is None
-        quick = (id(curve.times_s), id(curve.modes), curve.kind, curve.before, curve.after, dtype, tangents)
-        if quick not in by_identity:
-            by_identity[quick] = _group_key(curve)
-        groups.setdefault(by_identity[quick], []).append(i)
-    sampled = [(members, _sample_group([curves[i] for i in members], times)) for members in groups.values()]
+    sampled = [(members, _sample_group([curves[i] for i in members], times)) for members in _groups(curves)]
     shape = (*times.shape, *rest.shape)
     if all(isinstance(a, np.ndarray) for a in (rest, *(s for _, s in sampled))):
         result = np.empty(shape, np.result_type(rest, *(s for _, s in sampled)))
