@@ -90,7 +90,7 @@ def transform_points(d: Array, points: Array) -> Array:
 def exp(screw: Array) -> Array:
     """The unit dual quaternion (*B, 8) of half a screw (*B, 6): half-angle vector, then half of the moment.
 
-    Source: Kavan et al. (2008), appendix; written with sinc and its slope, so that pure translations need no case.
+    Source: Kavan et al. (2008); written with sinc and its slope, so that pure translations need no case.
     """
     xp, v = take(screw=(screw, (6,)))
     return _exp(xp, v)
@@ -117,7 +117,7 @@ def power(d: Array, exponent: Array) -> Array:
 def sclerp(a: Array, b: Array, u: Array) -> Array:
     """From a to b by one screw motion at constant speed, the short way, (*B, 8); u (*B) in 0..1 or beyond.
 
-    Exactly a at u = 0. Source: Kavan et al. (2008), section 4.2 (screw linear interpolation): a (a^-1 b)^u.
+    Exactly a at u = 0. Source: Kavan et al. (2008) (screw linear interpolation): a (a^-1 b)^u.
     """
     xp, a, b, u = take(a=(a, (8,)), b=(b, (8,)), u=(u, ()))
     relative = _product(xp, _conjugate(xp, a), b)
@@ -129,7 +129,7 @@ def blend(d: Array, weights: Array) -> Array:
 
     Antipodality: each is brought to the side of the one with the largest weight. Weights need not sum to 1; where their
     sum cancels or all are zero the result is the identity.
-    Source: Kavan et al. (2008), section 4.1, dual quaternion linear blending.
+    Source: Kavan et al. (2008), dual quaternion linear blending.
     """
     xp, d, w = take(d=(d, (8,)), weights=(weights, ()))
     if d.ndim < 2 or w.ndim < 1 or w.shape[-1] != d.shape[-2]:

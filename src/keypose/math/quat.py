@@ -209,7 +209,7 @@ def average(q: Array, weights: Array | None = None) -> Array:
 
     The signs of the inputs do not matter. No input or no weight gives the identity; where the answer is not unique
     (two opposite rotations of equal weight) it is one of the nearest.
-    Source: Markley et al., Averaging Quaternions (JGCD 2007), equation 12: the eigenvector of the largest eigenvalue of
+    Source: Markley et al., Averaging Quaternions (JGCD 2007): the eigenvector of the largest eigenvalue of
     sum w q q^T. The gradient is that of first-order perturbation, finite for repeated eigenvalues.
     """
     if weights is None:
@@ -243,7 +243,7 @@ def swing_twist(q: Array, axis: Array) -> tuple[Array, Array]:
     """Swing and twist (*B, 4) with q = swing twist: twist turns about ``axis`` (*B, 3), swing about a perpendicular one.
 
     Singular case, a swing by half a turn (which carries every twist): the twist is the identity. A zero axis has no
-    twist. Source: Dobrowolski, Swing-twist decomposition in Clifford algebra (2015), section 3.
+    twist. Source: Dobrowolski, Swing-twist decomposition in Clifford algebra (2015).
     """
     xp, q, axis = take(q=(q, (4,)), axis=(axis, (3,)))
     axis = unit(xp, axis)
@@ -309,7 +309,7 @@ def from_axes(x: Array, y: Array, z: Array) -> Array:
 def to_sixd(q: Array) -> Array:
     """The first two columns of the rotation matrix, one after the other, (*B, 6).
 
-    Source: Zhou et al., On the Continuity of Rotation Representations in Neural Networks (CVPR 2019), section 4.2.
+    Source: Zhou et al., On the Continuity of Rotation Representations in Neural Networks (CVPR 2019).
     """
     xp, q = take(q=(q, (4,)))
     w, x, y, z = parts(q)
@@ -325,7 +325,7 @@ def from_sixd(sixd: Array) -> Array:
     """The rotation (*B, 4) nearest in Gram-Schmidt's sense to two columns (*B, 6) of any length.
 
     Singular cases: a zero first column becomes X; a second column along the first is replaced by a fixed perpendicular.
-    Source: Zhou et al. (CVPR 2019), equation 15.
+    Source: Zhou et al. (CVPR 2019), Gram-Schmidt.
     """
     xp, d = take(sixd=(sixd, (6,)))
     first, second = unit(xp, d[..., :3]), unit(xp, d[..., 3:])

@@ -37,7 +37,7 @@ def hermite(p0: Array, m0: Array, p1: Array, m1: Array, u: Array, span_s: Array)
     """The cubic from p0 to p1 (*B, C) with tangents m0, m1 (*B, C) in units per second, at u (*B) of a span of span_s (*B).
 
     Exactly p0 at u = 0 and p1 at u = 1; a span of 0 seconds leaves the tangents without effect.
-    Source: lecture notes, Hermite curves; glTF 2.0, appendix C.5 (cubic spline), which scales tangents by the span alike.
+    Source: lecture notes, Hermite curves; glTF 2.0, appendix C (cubic spline), which scales tangents by the span alike.
     """
     xp, (p0, m0, p1, m1), (u, span) = _take({"p0": p0, "m0": m0, "p1": p1, "m1": m1}, {"u": u, "span_s": span_s})
     v = 1.0 - u
