@@ -9,13 +9,13 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.model import Character, Material, Mesh, MorphSet, Part, Skin
-from keypose.samples import human_clothes, human_features, human_hair, human_hands, human_head
+from keypose.samples import human_clothes, human_details, human_features, human_hair, human_hands, human_head
 from keypose.samples.human_face import FEATURES, MORPHS, Face, face_shapes
 from keypose.samples.human_features import Piece
 from keypose.samples.human_head import HeadMesh
 from keypose.samples.shapes import smoothstep
 from keypose.samples.skeleton import rest_positions, roles, skeleton
-from keypose.samples.subdivision import Surface, subdivide
+from keypose.samples.subdivision import Surface, mirrored_name, subdivide
 
 NAME = "Robin"
 
@@ -50,7 +50,8 @@ MATERIALS = {
 
 _GROUPS = {  # group of a cage -> part, material
     "body": ("jacket", "jacket"),
-    "zip": ("jacket_zip", "ribbing"),
+    "stripe": ("stripes", "sleeves"),
+    "shirt": ("shirt", "rubber"),
     "sleeve": ("sleeves", "sleeves"),
     "rib": ("ribbing", "ribbing"),
     "collar": ("collar", "ribbing"),
@@ -197,9 +198,11 @@ def jaw_share(points: Floats, head: HeadMesh | None = None) -> Floats:
     if head is not None:
         ring = head.mouth_ring
         on_lips = ring > -90
-        s = head.angle
-        lip = np.where(s < 0, smoothstep(0.10, -0.85, s), smoothstep(0.16, -0.5, s) * 0.6)
-        lip = smoothstep(0.22, -0.75, s)
+        t = np.clip(np.abs(points[:, 0]) / human_head.MOUTH_HALF, 0, 1)
+        corner = 0.30
+        # The opening is round: the lower lip hangs from the corners like an arch, the upper one dips only beside them.
+        lower = corner + (1 - corner) * np.sqrt(1 - t**2) ** 0.9
+        lip = np.where(head.angle < 0, lower, corner * t**5)
         blend = np.where(ring >= 0, np.array([1.0, 1.0, 1.0, 0.85, 0.45])[np.clip(ring, 0, 4)], 1.0)
         share = np.where(on_lips, share * (1 - blend) + lip * blend, share)
         share = np.where(ring == -7, 0.5, share)
@@ -223,10 +226,10 @@ def _head_weights(head: HeadMesh, jaw_share: Floats) -> Floats:
 
 def _skin_tint(head: HeadMesh) -> Floats:
     rosy = human_head.blush(head.points)[:, None]
-    tint = 1 - rosy * np.array([0.02, 0.24, 0.20])
+    tint = 1 - rosy * np.array([0.02, 0.30, 0.25])
     ring = head.mouth_ring
     lips = np.select([ring == 0, ring == 1, ring == 2, ring == -1], [1.0, 1.0, 0.45, 1.0], 0.0)[:, None]
-    return tint * (1 - lips * np.array([0.10, 0.42, 0.34]))
+    return tint * (1 - lips * np.array([0.14, 0.50, 0.42]))
 
 
 def _joined(pieces: list[Piece]) -> Piece:
@@ -245,6 +248,17 @@ def _piece_part(name: str, material: str, pieces: list[Piece], moves: Floats | N
     whole = _joined(pieces)
     weights = np.vstack([_dense(p.weights, len(p.points)) for p in pieces])
     return _part(name, material, whole.points, whole.triangles, weights, colors=whole.colors, moves=moves)
+
+
+def joint_mirror(names: tuple[str, ...]) -> Ints:
+    """For every joint the index of the same joint on the other side, (J,)."""
+    return np.array([names.index(mirrored_name(n)) for n in names])
+
+
+def _detail_part(name: str, material: str, details: list[human_details.Detail]) -> Part:
+    offsets = np.cumsum([0, *(len(p) for p, _, _ in details)])
+    triangles = np.vstack([t + o for (_, t, _), o in zip(details, offsets, strict=False)])
+    return _part(name, material, np.vstack([p for p, _, _ in details]), triangles, np.vstack([w for _, _, w in details]))
 
 
 def _face_parts() -> list[Part]:
@@ -266,7 +280,7 @@ def _face_parts() -> list[Part]:
     turns = normal_turns(head.points, head.triangles, moves["skin"])
     weights = _head_weights(head, jaw)
     outside, bag = head.triangles[~head.inside], head.triangles[head.inside]
-    skin = {"group": 5, "moves": moves["skin"], "turns": turns}
+    skin = {"group": 6, "moves": moves["skin"], "turns": turns}
     lashes = _lashes(head)
     follows = _joined(lashes).follows
     material = {"upper_teeth": "teeth", "lower_teeth": "teeth"}
@@ -283,12 +297,20 @@ def human() -> Character:
     """The built-in human, built once per process and always the same."""
     names = skeleton().names
     parts: list[Part] = []
-    cages = (human_clothes.jacket, human_clothes.trousers, human_clothes.shoes, human_hands.hands)
-    for number, cage in enumerate(cages, start=1):
-        parts += _surface_parts(subdivide(cage(), names), number)
+    cages = (human_clothes.jacket, human_clothes.shirt, human_clothes.trousers, human_clothes.shoes, human_hands.hands)
+    surfaces = [subdivide(cage(), names) for cage in cages]
+    for number, surface in enumerate(surfaces, start=1):
+        parts += _surface_parts(surface, number)
+    jacket, shoes = surfaces[0], surfaces[3]
+    left = human_details.laces(shoes)
+    swap = joint_mirror(names)
+    right = [(p * (-1, 1, 1), t[:, ::-1], w[:, swap]) for p, t, w in left]
+    parts.append(_detail_part("zip", "ribbing", human_details.zip_fastener(jacket)))
+    parts.append(_detail_part("star", "sleeves", [human_details.star(jacket)]))
+    parts.append(_detail_part("laces", "rubber", [*left, *right]))
     parts += _face_parts()
     ear_points, ear_triangles, deep = human_features.ears()
-    tint = 1 - deep[:, None] * np.array([0.05, 0.22, 0.20])
+    tint = 1 - deep[:, None] * np.array([0.03, 0.16, 0.15])
     parts.append(_part("ears", "skin", ear_points, ear_triangles, _dense({"Head": 1}, len(ear_points)), colors=tint))
     hair = [human_hair.cap(), *human_hair.locks()]
     parts.append(_piece_part("hair", "hair", [Piece(p, t, {"Head": 1.0}) for p, t in hair]))
@@ -299,7 +321,7 @@ def _lashes(head: HeadMesh) -> list[Piece]:
     made: list[Piece] = []
     for side in (1, -1):
         angle = np.where(head.angle < -1.5, head.angle + 2 * np.pi, head.angle)
-        ids = np.nonzero((head.eye_ring == 0) & (head.side == side) & (angle > -0.35) & (angle < np.pi + 0.2))[0]
+        ids = np.nonzero((head.eye_ring == 0) & (head.side == side) & (angle > -0.05) & (angle < np.pi + 0.05))[0]
         ids = ids[np.argsort(angle[ids])]
         made.append(human_features.lashes(head.points[ids] * (side, 1, 1), ids, side))
     return made

@@ -321,7 +321,7 @@ def _lips(face: Face, reach: float = 1.0) -> tuple[Floats, Floats, Floats]:
     q = np.stack([np.abs(p[:, 0]), p[:, 1], p[:, 2]], 1)
     ring = head.mouth_ring
     outer = np.array([1.0, 1.0, 1.0, 0.74, 0.40])[np.clip(ring, 0, 4)]
-    inner = np.array([1.0, 0.75, 0.35, 0.1, 0.0, 0.0, 0.0])[np.clip(-1 - ring, 0, 6)]
+    inner = np.array([0.9, 0.25, 0.0, 0.0, 0.0, 0.0, 0.0])[np.clip(-1 - ring, 0, 6)]
     around = bump(q, (0, MOUTH_Y, 0.09), (0.062, 0.046, 0.06)) * 0.5 * reach
     lips = np.where(ring >= 0, outer, np.where(ring > -90, inner, np.minimum(around, 0.4)))
     s = np.where(ring > -90, np.sin(head.angle), np.clip((p[:, 1] - MOUTH_Y) / 0.012, -1, 1))
@@ -484,7 +484,7 @@ def _close(face: Face, jaw_open: Floats) -> dict[str, Floats]:
 
 def _tongue_out(face: Face) -> dict[str, Floats]:
     out = face.zero()
-    u = np.clip((face.tongue[:, 2] - 0.036) / 0.044, 0, 1)
+    u = np.clip((face.tongue[:, 2] - 0.030) / 0.047, 0, 1)
     out["tongue"][:, 2] = 0.052 * u**1.2
     out["tongue"][:, 1] = 0.0085 * np.sin(np.pi * np.clip(u * 0.72, 0, 1)) - 0.004 * smoothstep(0.75, 1.0, u)
     return out
@@ -492,7 +492,7 @@ def _tongue_out(face: Face) -> dict[str, Floats]:
 
 def _tongue_up(face: Face) -> dict[str, Floats]:
     out = face.zero()
-    u = np.clip((face.tongue[:, 2] - 0.036) / 0.044, 0, 1)
+    u = np.clip((face.tongue[:, 2] - 0.030) / 0.047, 0, 1)
     out["tongue"][:, 1] = 0.0125 * smoothstep(0.25, 1.0, u)
     return out
 

@@ -30,7 +30,6 @@ class Piece:
         colors: (V, 3) linear, or None for the material's own.
         weights: of all vertices, by joint name.
         follows: (V,) the vertex of the head's skin that a vertex moves with, or None.
-        upper: (V,) how much a vertex belongs to the upper jaw or lid, or None.
     """
 
     points: Floats
@@ -63,15 +62,15 @@ def mirrored_piece(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 def eyeball(side: int) -> Piece:
     """An eyeball with pupil, iris and limbal ring as colours on its own loops; it looks along +Z."""
-    around = 28
-    degrees = np.array([7.0, 13.6, 14.2, 20.0, 27.0, 29.6, 31.4, 33.0, 42.0, 56.0, 74.0, 100.0, 140.0])
-    colors = [PUPIL, PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 6]
+    around = 26
+    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 46.0, 60.0, 80.0, 120.0])
+    colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 5]
     polar = np.deg2rad(degrees)[:, None]
     azimuth = (np.arange(around) * 2 * np.pi / around)[None, :]
     unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
     tint = np.repeat(np.array(colors)[:, None, :], around, 1)
     glow = np.clip(0.55 - 0.62 * np.sin(azimuth), 0, 1)  # light falls in from above and gathers below
-    for ring, share in ((2, 0.35), (3, 0.85), (4, 1.0)):
+    for ring, share in ((1, 0.35), (2, 0.85), (3, 1.0)):
         mix = (glow * share)[0, :, None]
         tint[ring] = np.array(IRIS_DARK) * (1 - mix) + np.array(IRIS_LIGHT) * mix
     shade = 1 - 0.22 * smoothstep(0.35, 0.9, unit[..., 1])  # the upper lid's shadow
@@ -109,7 +108,7 @@ def catchlight(side: int) -> Piece:
         right = np.cross([0.0, 1.0, 0.0], forward)
         right /= np.linalg.norm(right)
         up = np.cross(forward, right)
-        a = np.arange(12) * np.pi / 6
+        a = np.arange(10) * np.pi / 5
         circle = np.cos(a)[:, None] * right + np.sin(a)[:, None] * up
         rings = [
             forward * EYE_RADIUS * 0.985 + circle * radius,
@@ -128,22 +127,22 @@ def catchlight(side: int) -> Piece:
 
 def teeth(upper: bool) -> Piece:
     """A row of teeth: one closed arch with a soft notch between teeth."""
-    steps = 41
+    steps = 33
     u = np.linspace(-1, 1, steps)
-    half, depth = (0.0205, 0.034) if upper else (0.0190, 0.032)
-    front = 0.0895 if upper else 0.0865
+    half, depth = (0.0235, 0.024) if upper else (0.0220, 0.023)
+    front = 0.0872 if upper else 0.0832
     angle = u * np.deg2rad(82)
     x = half * np.sin(angle) / np.sin(np.deg2rad(82))
     z = front - depth * (1 - np.cos(angle))
     tangent = np.stack([np.gradient(x), 0 * x, np.gradient(z)], 1)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     outward = np.stack([-tangent[:, 2], 0 * x, tangent[:, 0]], 1)
-    notch = np.abs(np.cos(np.linspace(-5, 5, steps) * np.pi / 2 * 1.0 + np.pi / 2))
-    full = 0.55 + 0.45 * notch**0.5
+    notch = np.abs(np.cos(np.linspace(-4, 4, steps) * np.pi / 2))
+    full = 0.55 + 0.45 * np.sqrt(1 - notch**4)
     root = MOUTH_Y + (0.0120 if upper else -0.0135)
-    edge = MOUTH_Y + (0.0004 if upper else -0.0036)
-    edge = edge + (0.0011 if upper else -0.0009) * (1 - full) / 0.45 + (0.0016 if upper else 0.0) * u**4
-    profile = ((0.0, 0.0), (0.0022, 0.25), (0.0026, 0.7), (0.0014, 1.0), (-0.0012, 1.0), (-0.0028, 0.5), (-0.0024, 0.0))
+    edge = MOUTH_Y + (-0.0042 if upper else -0.0034)
+    edge = edge + (0.0011 if upper else -0.0009) * (1 - full) / 0.45 + (0.0020 if upper else -0.0012) * u**4
+    profile = ((0.0, 0.0), (0.0024, 0.3), (0.0024, 0.75), (0.0008, 1.0), (-0.0014, 0.97), (-0.0026, 0.0))
     rings = np.empty((steps, len(profile), 3))
     for k, (out, down) in enumerate(profile):
         push = out * (0.80 + 0.20 * full)
@@ -163,8 +162,8 @@ def teeth(upper: bool) -> Piece:
 def tongue() -> Piece:
     """A soft tongue resting behind the lower teeth; its tip is at the front."""
     u = np.linspace(0.0, 1.0, 10)
-    z = 0.036 + 0.044 * u
-    half = 0.0150 * np.sqrt(np.clip(1 - np.clip((u - 0.55) / 0.47, 0, 1) ** 2, 0, 1)) + 0.0004
+    z = 0.030 + 0.047 * u
+    half = 0.0145 * smoothstep(-0.35, 0.3, u) * np.sqrt(np.clip(1 - np.clip((u - 0.55) / 0.47, 0, 1) ** 2, 0, 1)) + 0.0004
     thick = 0.0052 * np.sqrt(np.clip(1 - np.clip((u - 0.6) / 0.42, 0, 1) ** 2, 0, 1)) + 0.0003
     a = np.arange(10) * 2 * np.pi / 10
     rings = np.empty((len(u), 10, 3))
@@ -179,23 +178,23 @@ def tongue() -> Piece:
 
 def eyebrow(side: int) -> Piece:
     """A tapered brow, thick towards the nose."""
-    u = np.linspace(0, 1, 13)
+    u = np.linspace(0, 1, 11)
     x = 0.0165 + 0.0485 * u
     y = 1.5755 + 0.0125 * np.sin(np.pi * (0.12 + 0.72 * u)) - 0.0035 * u**2
-    half = 0.0052 * np.clip(1 - u, 0, 1) ** 0.45 * smoothstep(-0.10, 0.12, u) + 0.0004
+    half = 0.0060 * np.clip(1 - u, 0, 1) ** 0.45 * smoothstep(-0.10, 0.12, u) + 0.0004
     base = on_face(x, y)
     normal = skin_normal(base)
     along = np.gradient(base, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(normal, along)
-    a = np.arange(8) * np.pi / 4
+    a = np.arange(6) * np.pi / 3
     rise = 0.42 * half + 0.0004
     rings = (
         base[:, None]
         + normal[:, None] * (rise[:, None] * np.sin(a))[..., None]
         + across[:, None] * (half[:, None] * np.cos(a))[..., None]
     )
-    points, triangles = tube(rings[:, ::-1])
+    points, triangles = tube(rings)
     if side < 0:
         points, triangles = mirrored_piece(points, triangles)
     return Piece(points, triangles, {"Head": 1.0})
@@ -245,37 +244,35 @@ def ears() -> tuple[Floats, Ints, Floats]:
     """Both ears: points, triangles, and how deep in the shell a vertex lies (V,) for shading."""
     cage = Cage()
     centre = np.array([0.0985, 1.5275, -0.018])
-    out = np.array([0.86, 0.04, 0.50])
+    out = np.array([0.93, 0.06, 0.36])
     out /= np.linalg.norm(out)
     back = np.array([0.30, 0.10, -0.95])
     back -= out * (back @ out)
     back /= np.linalg.norm(back)
     up = np.cross(out, back)
     up *= np.sign(up[1])
-    a = np.arange(12) * np.pi / 6
+    a = np.arange(10) * np.pi / 5
     c, s = np.cos(a), np.sin(a)  # 0 at the back, a quarter turn at the top
     shape = 1 + 0.10 * s + 0.10 * np.cos(a - 0.9)
-    wide, high = 0.0165 * shape, 0.0285 * shape * (1 - 0.10 * (s < 0))
-    rings = ((0.45, -0.016), (0.72, -0.006), (0.98, 0.002), (1.0, 0.0075), (0.84, 0.0085), (0.62, 0.0035), (0.30, 0.0015))
+    wide, high = 0.0190 * shape, 0.0290 * shape * (1 - 0.10 * (s < 0))
+    rings = ((0.50, -0.016), (0.98, 0.002), (1.0, 0.0075), (0.82, 0.0085), (0.58, 0.0020))
     previous: list[int] = []
-    depths: list[float] = []
     for number, (share, rise) in enumerate(rings):
-        hug = 0.010 * np.clip(-c, 0, 1) if number > 1 else 0 * c  # the front edge melts into the cheek
+        hug = 0.010 * np.clip(-c, 0, 1) if number else 0 * c  # the front edge melts into the cheek
         points = centre + np.outer(wide * share * c, back) + np.outer(high * share * s, up) + np.outer(rise - hug, out)
         ring = cage.ring(points, {"Head": 1.0})
-        depths += [float(number)] * 12
         if previous:
-            cage.bridge(ring, previous, "skin")
+            cage.bridge(previous, ring, "skin")
         else:
-            cage.face(ring, "skin")
+            cage.face(ring[::-1], "skin")
         previous = ring
-    cage.face(previous[::-1], "skin")
+    cage.face(previous, "skin")
     surface = subdivide(cage.mirrored(), ("Head",))
     triangles = np.vstack([surface.quads[:, [0, 1, 2]], surface.quads[:, [0, 2, 3]]])
-    p = surface.points * (np.where(surface.points[:, :1] > 0, 1, -1), 1, 1) if False else surface.points
+    p = surface.points
     side = np.sign(p[:, :1])
     local = (p * np.hstack([side, np.ones_like(side), np.ones_like(side)])) - centre
-    radial = np.sqrt((local @ back / 0.0165) ** 2 + (local @ up / 0.0285) ** 2)
+    radial = np.sqrt((local @ back / 0.0190) ** 2 + (local @ up / 0.0285) ** 2)
     deep = smoothstep(0.78, 0.45, radial) * (local @ out > -0.004)
     return p, triangles, deep
 

@@ -12,8 +12,8 @@ _CENTRE = np.array([0.0, 1.565, -0.015])
 
 # azimuth in degrees -> elevation of the hairline, for either side
 _HAIRLINE = (
-    (0, 41), (22, 41), (42, 36), (56, 22), (63, 2), (70, -16), (80, -17), (88, 4), (100, 10), (114, -4),
-    (126, -26), (142, -38), (160, -42), (180, -43),
+    (0, 40), (22, 38), (42, 31), (56, 18), (63, 0), (70, -16), (80, -17), (88, 4), (100, 10), (114, -6),
+    (126, -28), (142, -40), (160, -45), (180, -46),
 )  # fmt: skip
 
 # A lock: control points (azimuth, elevation in degrees, height above the skin in millimetres), half width and half
@@ -42,8 +42,8 @@ _LOCKS = (
     (((62, 24, 5), (66, 10, 8), (68, 0, 7), (70, -10, 4), (71, -20, 0)), 11, 5),
     (((-62, 24, 5), (-66, 10, 8), (-68, 0, 7), (-70, -10, 4), (-71, -20, 0)), 11, 5),
     # two strands that break the outline on the crown
-    (((30, 66, 14), (4, 74, 34), (-34, 72, 41), (-58, 62, 38), (-74, 52, 30)), 12, 7),
-    (((150, 80, 14), (170, 80, 31), (178, 72, 37), (-176, 62, 34), (-172, 52, 27)), 12, 7),
+    (((28, 62, 14), (6, 68, 31), (-22, 66, 36), (-44, 58, 33), (-60, 48, 25)), 17, 10),
+    (((140, 84, 14), (168, 80, 29), (176, 70, 33), (-178, 58, 29), (-174, 44, 22)), 16, 9),
 )  # fmt: skip
 
 
@@ -59,25 +59,30 @@ def _curve(points: Floats, steps: int) -> Floats:
 
 def cap() -> tuple[Floats, Ints]:
     """The hair close to the skull; its border sinks into the skin along the hairline."""
-    around, deep = 56, 11
+    around, deep = 40, 8
     azimuth = np.linspace(-np.pi, np.pi, around, endpoint=False)
     line = np.array(_HAIRLINE, float)
-    low = np.deg2rad(np.interp(np.abs(np.rad2deg(azimuth)), line[:, 0], line[:, 1]))
+    at = np.concatenate([-line[:0:-1, 0], line[:-1, 0], 360 - line[::-1, 0]])
+    of = np.concatenate([line[:0:-1, 1], line[:-1, 1], line[::-1, 1]])
+    from scipy.interpolate import PchipInterpolator
+
+    low = np.deg2rad(PchipInterpolator(at, of)(np.rad2deg(azimuth)))
     share = np.linspace(0.06, 1.0, deep) ** 0.9
+    height = 0.0015 + 0.0120 * np.sqrt(smoothstep(1.04, 0.72, share))
+    share, height = np.append(share, 0.985), np.append(height, -0.006)  # the border is turned in under itself
     elevation = np.pi / 2 - (np.pi / 2 - low)[None, :] * share[:, None]
-    height = 0.0135 * smoothstep(1.0, 0.80, share) - 0.0035 * smoothstep(0.93, 1.0, share) + 0.0008
-    points = scalp(np.tile(azimuth, (deep, 1)), elevation, np.repeat(height[:, None], around, 1), _CENTRE)
+    points = scalp(
+        np.tile(azimuth, (deep + 1, 1)), elevation, np.repeat(height[:, None], around, 1), _CENTRE
+    )
     top = scalp(np.zeros(1), np.full(1, np.pi / 2), height[:1], _CENTRE)
-    inner = points[-1] + (_CENTRE - points[-1]) * 0.10
-    rings = np.concatenate([points, inner[None]])
-    flat, triangles = tube(rings[::-1])
+    flat, triangles = tube(points[::-1])
     flat[-1] = top[0]
     return flat, triangles
 
 
 def locks() -> list[tuple[Floats, Ints]]:
     """One closed tapered body per lock."""
-    steps, around = 11, 8
+    steps, around = 9, 6
     u = np.linspace(0, 1, steps)
     controls = np.array([c for c, _, _ in _LOCKS], float)
     controls[..., 0] = np.rad2deg(np.unwrap(np.deg2rad(controls[..., 0]), axis=1))

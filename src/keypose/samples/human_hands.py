@@ -30,7 +30,7 @@ _PALM = (  # along, weights, back, palm
 )  # fmt: skip
 _FRONT_OF_WEB = np.array([0.0, 0.010, 0.013, 0.008, -0.004])  # how far each knuckle line lies ahead of the last section
 
-_RADII = {"Thumb": 0.0122, "Index": 0.0102, "Middle": 0.0105, "Ring": 0.0101, "Pinky": 0.0090}
+_RADII = {"Thumb": 0.0136, "Index": 0.0113, "Middle": 0.0116, "Ring": 0.0112, "Pinky": 0.0100}
 
 
 def _model(point: Floats) -> Floats:
@@ -62,10 +62,9 @@ def _finger_rings(finger: str, skip_base: bool) -> list[tuple[Floats, Floats, fl
         (a + d1 * n1 * 0.52, d1, radius * 1.02, {one: 1.0}),
         (b - d1 * 0.0065, (d1 * 2 + d2) / 3, radius * 1.03, {one: 0.86, two: 0.14}),
         (b + d2 * 0.0065, (d1 + d2 * 2) / 3, radius * 1.01, {one: 0.14, two: 0.86}),
-        (c - d2 * 0.0055, (d2 * 2 + d3) / 3, radius * 0.97, {two: 0.86, three: 0.14}),
-        (c + d3 * 0.0055, (d2 + d3 * 2) / 3, radius * 0.95, {two: 0.14, three: 0.86}),
-        (c + d3 * n3 * 0.72, d3, radius * 0.86, {three: 1.0}),
-        (c + d3 * n3 * 0.97, d3, radius * 0.52, {three: 1.0}),
+        (c, (d2 + d3) / 2, radius * 0.98, {two: 0.5, three: 0.5}),
+        (c + d3 * n3 * 0.70, d3, radius * 0.88, {three: 1.0}),
+        (c + d3 * n3 * 0.99, d3, radius * 0.56, {three: 1.0}),
     ]
     return rings[1:] if skip_base else rings
 
@@ -133,5 +132,5 @@ def hands() -> Cage:
         base = [last[f], last[f + 1], last[8 - f], last[9 - f]]
         _grow(cage, base, finger, across)
     near, far = sections[2], sections[3]
-    _grow(cage, [far[0], far[9], near[9], near[0]], "Thumb", np.array([0.55, -0.2, -0.55]))
+    _grow(cage, [far[0], far[9], near[9], near[0]], "Thumb", np.array([0.35, -0.1, -0.80]))
     return cage.mirrored()

@@ -66,7 +66,7 @@ def head_field(p: Floats) -> Floats:
     d = ellipsoid(q, (0, 1.592, -0.020), (0.1035, 0.099, 0.113), 2.15)
     d = union(d, ellipsoid(q, (0, 1.522, 0.008), (0.0910, 0.0900, 0.0880), 2.5), 0.035)
     d = union(d, ellipsoid(q, (0, 1.455, 0.046), (0.043, 0.030, 0.046), 2.1), 0.050)  # jaw
-    d = union(d, ellipsoid(q, (0, 1.4390, 0.0765), (0.0185, 0.0150, 0.0190)), 0.030)  # chin
+    d = union(d, ellipsoid(q, (0, 1.4390, 0.0790), (0.0190, 0.0155, 0.0195)), 0.030)  # chin
     d = union(d, ellipsoid(q, (0.048, 1.4985, 0.060), (0.031, 0.025, 0.030)), 0.030)  # cheek
     d = union(d, capsule(q, (0, 1.33, -0.036), (0, 1.48, -0.028), 0.0465, 0.045), 0.030)  # neck
     d = union(d, ellipsoid(q, (0, 1.4675, 0.076), (0.031, 0.026, 0.0225)), 0.022)  # muzzle
@@ -95,7 +95,7 @@ def eye_outline(angle: Floats, offset: float) -> tuple[Floats, Floats]:
     """The left eye's opening, widened by ``offset`` metres: x, y of points by angle (0 outer corner, up positive)."""
     c, s = np.cos(angle), np.sin(angle)
     half_width = 0.0228 + offset * np.where(c > 0, 1.0, 0.72)
-    up, low = 0.0182 + offset * 1.02, 0.0148 + offset * 0.98
+    up, low = 0.0174 + offset * 1.02, 0.0148 + offset * 0.98
     x = half_width * c
     y = np.where(s > 0, up, low) * np.sign(s) * np.abs(s) ** 0.92
     lean = 0.0012 * c + 0.0012 * np.clip(s, 0, 1) * c  # the outer corner lies a little higher
@@ -105,7 +105,7 @@ def eye_outline(angle: Floats, offset: float) -> tuple[Floats, Floats]:
 def mouth_line(x: Floats) -> Floats:
     """Height of the closed mouth at x: corners lift in a slight smile."""
     t = np.abs(x) / MOUTH_HALF
-    return MOUTH_Y + 0.0030 * t**2.2 - 0.0012 * np.exp(-((t / 0.28) ** 2))
+    return MOUTH_Y + 0.0044 * t**2.0 - 0.0012 * np.exp(-((t / 0.28) ** 2))
 
 
 def mouth_outline(ring: int, angle: Floats) -> tuple[Floats, Floats, Floats]:
@@ -171,12 +171,12 @@ def _grid(loops: Floats) -> Floats:
         row = np.concatenate([[0.0], row[row > 0.003]])
         candidates.append(on_face(row, np.full(len(row), y)))
     # everything else, by direction from the middle of the head
-    for number, elevation in enumerate(np.deg2rad(np.arange(-64, 90, 6.2))):
-        front = 0.105 if elevation < 0.6 else 0.16
+    for number, elevation in enumerate(np.deg2rad(np.arange(-64, 90, 6.6))):
+        front = 0.105 if elevation < 0.6 else 0.19
         step = front / np.cos(elevation)
         azimuth = [0.0]
         while azimuth[-1] < np.pi:
-            coarse = 1.0 + 0.75 * smoothstep(0.9, 1.7, azimuth[-1])
+            coarse = 1.0 + 1.1 * smoothstep(0.9, 1.5, azimuth[-1])
             azimuth.append(azimuth[-1] + step * float(coarse))
         a = np.array(azimuth) * np.pi / azimuth[-1]
         if number % 2:
@@ -196,7 +196,7 @@ def _grid(loops: Floats) -> Floats:
         if inside[i]:
             continue
         nose = points[i, 2] > 0.098 and points[i, 0] < 0.022 and points[i, 1] > 1.488
-        gap = 0.024 if nose else 0.062
+        gap = 0.024 if nose else 0.062 if direction[2] > 0.1 else 0.095
         on_middle = points[i, 0] < 1e-9
         if not on_middle and direction[0] < 0.5 * gap:
             continue
@@ -218,7 +218,7 @@ def _inside_loops(points: Floats) -> Ints:
     x, y = points[:, 0] - _EX, points[:, 1] - _EY
     offset = EYE_OFFSETS[-1] + 0.001
     half = 0.0228 + offset * np.where(x > 0, 1.0, 0.72)
-    high = np.where(y > 0, 0.0182, 0.0148) + offset
+    high = np.where(y > 0, 0.0174, 0.0148) + offset
     eye = (x / half) ** 2 + (y / high) ** 2 < 1.0
     width, up, low, _, _ = MOUTH_RINGS[-1]
     v = points[:, 1] - MOUTH_Y - 0.001
@@ -306,7 +306,7 @@ def _inner_rims(
     s = np.sin(around)
     s = np.sign(np.round(s, 9)) * np.abs(s) ** 0.7
     for ring, (back, height, narrow) in enumerate(
-        ((0.0030, 0.0022, 0.99), (0.0050, 0.0105, 0.99), (0.0160, 0.0150, 0.96), (0.0400, 0.0150, 0.80), (0.0560, 0.0060, 0.30))
+        ((0.0030, 0.0022, 0.99), (0.0046, 0.0110, 1.00), (0.0160, 0.0160, 1.13), (0.0400, 0.0150, 1.00), (0.0560, 0.0060, 0.30))
     ):
         p = rim.copy()
         p[:, 0] *= narrow
@@ -365,4 +365,4 @@ def _mirror(points: Floats, faces: Ints, eye: Ints, mouth: Ints, angle: Floats, 
 def blush(p: Floats) -> Floats:
     """How rosy the skin is: cheeks, tip of the nose."""
     q = np.stack([np.abs(p[:, 0]), p[:, 1], p[:, 2]], 1)
-    return np.clip(bump(q, (0.052, 1.496, 0.075), (0.030, 0.024, 0.05)) + 0.7 * bump(q, (0, 1.505, 0.125), (0.018, 0.016, 0.02)), 0, 1)
+    return np.clip(bump(q, (0.052, 1.497, 0.075), (0.033, 0.026, 0.05)) + 0.7 * bump(q, (0, 1.505, 0.125), (0.018, 0.016, 0.02)), 0, 1)

@@ -203,7 +203,8 @@ def bend_axis(name: str) -> Floats:
     if plain.startswith("Hand") and plain != "Hand":
         axis = np.array([0.0, 0.0, -1.0])  # along x palm: curl towards the palm
         if plain.startswith("HandThumb"):
-            axis = np.array([-0.62, -0.45, -0.64])  # the thumb folds across the palm
+            bone = twist_axis("Left" + plain)
+            axis = np.cross(bone, 0.8 * palm - 0.6 * np.array([0.0, 0.0, 1.0]))  # the thumb folds across the palm
     elif plain in ("ForeArm", "ForeArmTwist"):
         axis = palm  # swings the forearm forward
     elif plain == "Hand":
