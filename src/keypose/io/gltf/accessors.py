@@ -20,7 +20,7 @@ from keypose.io.gltf.document import WIDTHS, Accessor, BufferView, Document
 # file can ask for any amount of memory.
 BUDGET_BASE = 128 << 20
 BUDGET_PER_BYTE = 8
-PER_ITEM = 256  # what a part, a morph channel or a curve takes at least: few bytes can ask for many of them
+PER_ITEM = 2048  # what a part, a morph channel or a curve takes at least: few bytes can ask for many of them
 
 
 class Arrays:
