@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from conftest import data_files
 from keypose import deform
+from keypose.deform import compiled
 from keypose.errors import ShapeError, UnknownName
+from keypose.evaluate import compiled as evaluate_compiled
 from keypose.evaluate import world
 from keypose.math import dualquat, quat, rigid
 from keypose.model import Mesh, Pose, Skeleton, Skin
@@ -233,25 +236,56 @@ def test_batches_of_any_shape(rng: np.random.Generator, method: str, batch: tupl
         assert_allclose(normals[index], alone[1], atol=1e-13)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_much_work_equals_little_work(rng: np.random.Generator, method: str) -> None:
-    skeleton, mesh = random_skeleton(rng, 30), random_mesh(rng, 4000)
-    binding = random_skin(rng, skeleton, 4000, 4)
-    pose = random_pose(rng, (6,), 30)
-    expected = [deform.skin(mesh, binding, world(skeleton, pose[f]), method, with_normals=True) for f in range(6)]
-    positions, normals = deform.skin(mesh, binding, world(skeleton, pose), method, with_normals=True)
-    single = Skin(
-        binding.palette, binding.joint_from_mesh.astype(np.float32), binding.joints, binding.weights.astype(np.float32)
-    )
-    light = Mesh(mesh.positions.astype(np.float32), mesh.triangles, mesh.normals.astype(np.float32))
-    model_from_joint = world(skeleton, as_type(pose, np.float32))
-    positions32, normals32 = deform.skin(light, single, model_from_joint, method, with_normals=True)
-    assert positions32.dtype == normals32.dtype == np.float32
-    for f in range(6):
-        assert_allclose(positions[f], expected[f][0], atol=1e-12)
-        assert_allclose(normals[f], expected[f][1], atol=1e-9)
-        assert_allclose(positions32[f], expected[f][0], atol=2e-5)
-        assert np.mean(np.abs(normals32[f] - expected[f][1])) < 1e-5
+@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 3e-5)])
+def test_the_compiled_path_gives_what_numpy_gives(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, dtype: type, tolerance: float, scaled: bool
+) -> None:
+    skeleton, mesh = random_skeleton(rng, 30), random_mesh(rng, 500)
+    full = random_skin(rng, skeleton, 500, 5)
+    binding = Skin(full.palette, full.joint_from_mesh.astype(dtype), full.joints, full.weights.astype(dtype))
+    mesh = Mesh(mesh.positions.astype(dtype), mesh.triangles, mesh.normals.astype(dtype))
+    model_from_joint = world(skeleton, random_pose(rng, (3, 4), 30, scaled=scaled))
+
+    def skinned(limit: int, matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        monkeypatch.setattr(evaluate_compiled, "_LOADED", limit)
+        monkeypatch.setattr(evaluate_compiled, "_NOT_LOADED", limit)
+        positions, normals = deform.skin(mesh, binding, matrices.astype(dtype), with_normals=True)
+        assert positions.dtype == normals.dtype == dtype
+        assert_allclose(positions, deform.skin(mesh, binding, matrices.astype(dtype)), atol=tolerance)
+        return positions, normals
+
+    plain = skinned(10**18, model_from_joint)
+    fast = skinned(0, model_from_joint)
+    alone = skinned(0, model_from_joint[1, 2])  # compiled by now: a single frame takes the same path
+    for own, expected, one in zip(fast, plain, alone, strict=True):
+        assert own.shape == (3, 4, 500, 3)
+        assert_allclose(own, expected, atol=tolerance * (100 if own is fast[1] and dtype is np.float32 else 1))
+        assert_allclose(one, own[1, 2], atol=tolerance)
+
+
+def test_compiled_meshes_are_forgotten_with_their_arrays(rng: np.random.Generator) -> None:
+    skeleton, mesh = random_skeleton(rng, 5), random_mesh(rng, 50)
+    binding = random_skin(rng, skeleton, 50, 3)
+    model_from_joint = world(skeleton, random_pose(rng, (9,), 5))
+    gc.collect()
+    before = len(compiled._uses)
+    deform.skin(mesh, binding, model_from_joint)
+    assert len(compiled._uses) == before + 1
+    del mesh
+    gc.collect()
+    assert len(compiled._uses) == before
+
+
+def test_writable_positions_are_never_taken_from_the_cache(rng: np.random.Generator) -> None:
+    skeleton, mesh = random_skeleton(rng, 5), random_mesh(rng, 50)
+    binding = random_skin(rng, skeleton, 50, 3)
+    matrices = deform.skin_matrices(binding, world(skeleton, random_pose(rng, (9,), 5)))
+    positions = np.array(mesh.positions)
+    first, _ = deform.skin_points(positions, None, binding, matrices)
+    positions += 1.0
+    second, _ = deform.skin_points(positions, None, binding, matrices)
+    assert np.abs(second - first).max() > 0.1
 
 
 def test_what_does_not_fit_is_refused(rng: np.random.Generator) -> None:

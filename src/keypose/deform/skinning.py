@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from keypose.arrays import Array, Ints, checked, gather, namespace, unified
+from keypose.deform.compiled import skin_compiled
 from keypose.errors import ShapeError, UnknownName
 from keypose.math import dualquat, quat, rigid
 from keypose.model import Mesh, Skin
@@ -85,7 +86,7 @@ def skin_points(
     else:
         positions, matrices, weights, normals = unified(positions, matrices, binding.weights, normals)
     if method == "linear":
-        return _linear(positions, normals, binding.joints, weights, matrices)
+        return _linear(positions, normals, binding, weights, matrices)
     return _dual_quaternion(positions, normals, binding, weights, matrices)
 
 
@@ -100,16 +101,18 @@ def transform_normals(matrices: Array, normals: Array) -> Array:
 
 
 def _linear(
-    positions: Array, normals: Array | None, joints: Ints, weights: Array, matrices: Array
+    positions: Array, normals: Array | None, binding: Skin, weights: Array, matrices: Array
 ) -> tuple[Array, Array | None]:
+    turning = None if normals is None else _normal_matrices(matrices)
+    compiled = skin_compiled(positions, normals, binding, weights, matrices, turning)
+    if compiled is not None:
+        return compiled
     xp = namespace(matrices)
-    blended = _blended(xp, matrices[..., :3, :], joints, weights)
+    blended = _blended(xp, matrices[..., :3, :], binding.joints, weights)
     moved = _apply(xp, blended[..., :3], positions) + blended[..., 3]
     if normals is None:
         return moved, None
-    turning = _normal_matrices(matrices)
-    turned = _apply(xp, _blended(xp, turning, joints, weights), normals)
-    return moved, _unit(xp, turned)
+    return moved, _unit(xp, _apply(xp, _blended(xp, turning, binding.joints, weights), normals))
 
 
 def _dual_quaternion(
