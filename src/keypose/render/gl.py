@@ -345,9 +345,7 @@ class GlRenderer:
             ctx.disable(ctx.CULL_FACE)
         else:
             ctx.enable(ctx.CULL_FACE)
-        # a mirrored part (odd scale) turns its triangles' winding round
-        mirrored = len(surface.palette) > 0 and np.linalg.det(surface.palette_matrices(moment)[0, :3, :3]) < 0
-        ctx.front_face = "cw" if mirrored else "ccw"
+        ctx.front_face = "cw" if surface.mirrored(moment) else "ccw"
         mesh.texture.use(0)
         self.depth_map.use(1)
         self.compared.use(1)

@@ -56,6 +56,13 @@ class Surface:
         """World-from-mesh matrices of the part's palette, (P, 4, 4) float32."""
         return moment.matrices[self.drawn][self.palette] @ self.joint_from_mesh
 
+    def mirrored(self, moment: Moment) -> bool:
+        """Whether the part is scaled by an odd number of negative factors, which turns its triangles' winding round."""
+        matrix = (
+            moment.matrices[self.drawn][self.palette[0]] @ self.joint_from_mesh[0] if len(self.palette) else np.eye(4)
+        )
+        return bool(np.linalg.det(matrix[:3, :3]) < 0)
+
     def morph_weights(self, moment: Moment) -> Floats:
         """Weights of the part's own targets, (M,)."""
         return moment.morph_weights[self.drawn][self.part.morph_channels]
