@@ -332,7 +332,7 @@ export class Studio {
     const { animation, active } = this;
     if (!animation || !active) return;
     this.pause();
-    const times = animation.keyTimes(this.selected >= 0 ? active.rig.names[this.selected] : null);
+    const times = animation.keyTimes(active.rig, this.selected >= 0 ? this.selected : null);
     const now = this.view.clock.time;
     const next = direction > 0 ? times.find((t) => t > now + 1e-6) : times.findLast((t) => t < now - 1e-6);
     if (next !== undefined) this.seek(next);

@@ -3,6 +3,7 @@
 import type { ClipData, MotionData } from "../generated/messages";
 import type { Arrays } from "../net/container";
 import { Curve } from "./curve";
+import { matchNames } from "./matching";
 import type { Pose, Rig } from "./rig";
 import { slerp } from "./rotation";
 
@@ -43,18 +44,19 @@ export abstract class Animation {
   }
 
   abstract readonly kind: "clip" | "motion";
-  abstract readonly targets: ReadonlySet<string>;
+  /** Joints that it moves, and morph channels. */
+  abstract readonly joints: ReadonlySet<string>;
+  abstract readonly morphNames: ReadonlySet<string>;
   abstract bind(rig: Rig, morphNames: string[]): Binding;
-  /** Times of the keys of one joint, or of all. */
-  abstract keyTimes(target: string | null): Float64Array;
+  /** Times of the keys of one joint of the rig, or of all. */
+  abstract keyTimes(rig: Rig, joint: number | null): Float64Array;
 
   /** The share of what it animates that a character has. */
   match(rig: Rig, morphNames: string[]): number {
-    if (this.targets.size === 0) return 0;
-    const known = new Set([...rig.names, ...morphNames]);
-    let found = 0;
-    for (const target of this.targets) if (known.has(target)) found++;
-    return found / this.targets.size;
+    const total = this.joints.size + this.morphNames.size;
+    if (total === 0) return 0;
+    const shapes = morphNames.filter((name) => this.morphNames.has(name)).length;
+    return (matchNames(this.joints, rig.names).size + shapes) / total;
   }
 }
 
@@ -68,7 +70,8 @@ const FIELDS: Record<string, [Field, number]> = {
 
 export class ClipAnimation extends Animation {
   readonly kind = "clip";
-  readonly targets: ReadonlySet<string>;
+  readonly joints: ReadonlySet<string>;
+  readonly morphNames: ReadonlySet<string>;
   private readonly curves: { target: string; field: Field; width: number; curve: Curve }[];
   private readonly keyCache = new Map<string | null, Float64Array>();
 
@@ -91,14 +94,17 @@ export class ClipAnimation extends Animation {
       );
       return { target: c.target, field, width, curve };
     });
-    this.targets = new Set(this.curves.map((c) => c.target));
+    const targets = (morphs: boolean) => this.curves.filter((c) => (c.field === "morphs") === morphs).map((c) => c.target);
+    this.joints = new Set(targets(false));
+    this.morphNames = new Set(targets(true));
   }
 
   bind(rig: Rig, morphNames: string[]): Binding {
     const tracks: { field: Field; at: number; curve: Curve }[] = [];
     const morphs = new Set<number>();
+    const own = new Map([...matchNames(this.joints, rig.names)].map(([name, source]) => [source, rig.index(name)]));
     for (const { target, field, width, curve } of this.curves) {
-      const index = field === "morphs" ? morphNames.indexOf(target) : rig.index(target);
+      const index = field === "morphs" ? morphNames.indexOf(target) : (own.get(target) ?? -1);
       if (index < 0) continue;
       if (field === "morphs") morphs.add(index);
       // a curve keeps its own place between frames, so each binding has its own
@@ -116,11 +122,13 @@ export class ClipAnimation extends Animation {
     };
   }
 
-  keyTimes(target: string | null): Float64Array {
+  keyTimes(rig: Rig, joint: number | null): Float64Array {
+    const target = joint === null ? null : (matchNames(this.joints, rig.names).get(rig.names[joint]) ?? "");
     let times = this.keyCache.get(target);
     if (!times) {
       const all = new Set<number>();
-      for (const c of this.curves) if (target === null || c.target === target) for (const t of c.curve.data.times) all.add(t);
+      for (const c of this.curves)
+        if (target === null || (c.field !== "morphs" && c.target === target)) for (const t of c.curve.data.times) all.add(t);
       times = Float64Array.from(all).sort();
       this.keyCache.set(target, times);
     }
@@ -130,7 +138,8 @@ export class ClipAnimation extends Animation {
 
 export class MotionAnimation extends Animation {
   readonly kind = "motion";
-  readonly targets: ReadonlySet<string>;
+  readonly joints: ReadonlySet<string>;
+  readonly morphNames: ReadonlySet<string>;
   private readonly arrays: { translations: Float32Array; rotations: Float32Array; scales: Float32Array };
   private readonly weights: Float32Array | null;
 
@@ -141,7 +150,8 @@ export class MotionAnimation extends Animation {
     index: number,
   ) {
     super(data, sceneId, index);
-    this.targets = new Set([...data.joint_names, ...data.morph_names]);
+    this.joints = new Set(data.joint_names);
+    this.morphNames = new Set(data.morph_names);
     this.arrays = {
       translations: arrays.float32(data.translations),
       rotations: arrays.float32(data.rotations),
@@ -158,10 +168,11 @@ export class MotionAnimation extends Animation {
     const { data, weights, start, rate } = this;
     const { translations, rotations, scales } = this.arrays;
     const joints = data.joint_names.length;
-    const pairs = (names: string[], find: (name: string) => number) =>
-      Int32Array.from(names.flatMap((name, source) => (find(name) >= 0 ? [source, find(name)] : [])));
-    const joint = pairs(data.joint_names, (name) => rig.index(name));
-    const morph = pairs(weights ? data.morph_names : [], (name) => morphNames.indexOf(name));
+    const row = new Map(data.joint_names.map((name, n) => [name, n]));
+    const joint = Int32Array.from([...matchNames(data.joint_names, rig.names)].flatMap(([name, source]) => [row.get(source)!, rig.index(name)]));
+    const morph = Int32Array.from(
+      (weights ? data.morph_names : []).flatMap((name, n) => (morphNames.includes(name) ? [n, morphNames.indexOf(name)] : [])),
+    );
     const last = data.frames - 1;
     const strideT = translations.length > 3 * joints ? 3 * joints : 0;
     const strideR = rotations.length > 4 * joints ? 4 * joints : 0;
@@ -200,7 +211,9 @@ export class MotionAnimation extends Animation {
     };
   }
 
+  private times: Float64Array | null = null;
+
   keyTimes(): Float64Array {
-    return Float64Array.from({ length: this.data.frames }, (_, f) => this.start + f / this.rate);
+    return (this.times ??= Float64Array.from({ length: this.data.frames }, (_, f) => this.start + f / this.rate));
   }
 }

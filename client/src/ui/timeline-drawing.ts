@@ -1,6 +1,7 @@
 // The timeline strip: ruler with frame numbers, keys, the played range and the playhead.
 
 import type { Animation } from "../anim/animation";
+import type { Rig } from "../anim/rig";
 
 export interface TimelineColors {
   line: string;
@@ -16,7 +17,8 @@ export interface TimelineColors {
 
 export interface TimelineState {
   animation: Animation | null;
-  joint: string | null;
+  rig: Rig | null;
+  joint: number | null;
   time: number;
   start: number;
   end: number;
@@ -88,9 +90,10 @@ function ruler(c: CanvasRenderingContext2D, width: number, height: number, color
   }
 }
 
-function keys(c: CanvasRenderingContext2D, height: number, colors: TimelineColors, animation: Animation, { joint, toX }: TimelineState): void {
+function keys(c: CanvasRenderingContext2D, height: number, colors: TimelineColors, animation: Animation, { rig, joint, toX }: TimelineState): void {
+  if (!rig) return;
   const y = RULER + (height - RULER) / 2 + 1;
-  const times = animation.keyTimes(joint);
+  const times = animation.keyTimes(rig, joint);
   const dense = times.length > 1 && (toX(times[times.length - 1]) - toX(times[0])) / (times.length - 1) < 5;
   c.fillStyle = joint === null ? colors.faint : colors.muted;
   let last = -10;

@@ -7,7 +7,8 @@ import { Pose, Rig } from "../anim/rig";
 import type { Arrays } from "../net/container";
 import { Axes, Bones } from "./bones";
 import { Ghosts, type GhostSettings } from "./ghosts";
-import { Body, deformedVertices, partSources, WeightMaterial, type PartMesh, type PartSource } from "./parts";
+import { WeightMaterial } from "./materials";
+import { Body, deformedVertices, partSources, type PartMesh, type PartSource } from "./parts";
 import type { Palette } from "./palette";
 
 export class Actor {
@@ -58,7 +59,7 @@ export class Actor {
     this.vertices = this.sources.reduce((n, s) => n + s.geometry.attributes.position.count, 0);
     this.triangles = this.sources.reduce((n, s) => n + s.geometry.index!.count / 3, 0);
     this.rootJoint = data.roles.hips ?? this.findRoot();
-    this.body = new Body(this.sources, (source) => [source.material]);
+    this.body = new Body(this.sources, this.morphNames.length, (source) => [source.material]);
     for (const mesh of this.body.meshes) mesh.castShadow = mesh.receiveShadow = true;
     this.root.add(this.body.group);
     this.measure();
@@ -185,7 +186,8 @@ export class Actor {
       return;
     }
     this.weights ??= this.body.meshes.map((mesh) => {
-      const material = new WeightMaterial((mesh.userData.source as PartSource).skin !== null);
+      const source = mesh.userData.source as PartSource;
+      const material = this.body.taught(source, new WeightMaterial(source.skin !== null));
       mesh.material = material;
       return material;
     });
@@ -216,6 +218,7 @@ export class Actor {
     for (const source of this.sources) {
       source.geometry.dispose();
       source.material.dispose();
+      source.morphs?.dispose();
     }
     this.root.removeFromParent();
     this.overlay.removeFromParent();

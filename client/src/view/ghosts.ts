@@ -31,14 +31,15 @@ export class Ghosts {
   constructor(actor: Actor, settings: GhostSettings, palette: Palette) {
     this.pose = new Pose(actor.rig.count, actor.morphNames.length);
     this.world = new Float64Array(12 * actor.rig.count);
-    const depth = ghostDepthMaterial();
-    this.materials.push(depth);
+    const plainDepth = this.keep(ghostDepthMaterial());
     const add = (frames: number, color: THREE.Color, strength: number, order: number) => {
-      const look = ghostMaterial(color, strength);
-      this.materials.push(look);
+      const plain = this.keep(ghostMaterial(color, strength));
       const ghost: Ghost = { frames, body: null, sticks: null };
       if (actor.hasMesh) {
-        ghost.body = new Body(actor.sources, () => [depth, look]);
+        ghost.body = new Body(actor.sources, actor.morphNames.length, (source) =>
+          // parts that morph need materials of their own, because these hold the weights
+          source.morphs ? [this.keep(ghostDepthMaterial()), this.keep(ghostMaterial(color, strength))] : [plainDepth, plain],
+        );
         // each ghost lays down its depth before its colour, the furthest in time first
         for (const mesh of ghost.body.meshes) mesh.renderOrder += 10 + 2 * order;
         this.group.add(ghost.body.group);
@@ -52,6 +53,11 @@ export class Ghosts {
       add(-n * settings.step, palette.ghostBefore, 0.75 * (1 - (n - 1) / (settings.before + 1)), settings.before - n);
     for (let n = settings.after; n >= 1; n--)
       add(n * settings.step, palette.ghostAfter, 0.75 * (1 - (n - 1) / (settings.after + 1)), settings.after - n);
+  }
+
+  private keep<M extends THREE.Material>(material: M): M {
+    this.materials.push(material);
+    return material;
   }
 
   update(actor: Actor, time: number): void {

@@ -1,10 +1,11 @@
 // The meshes of a character: geometry from the payload, skinned and morphed by the shader.
 
 import * as THREE from "three";
-import type { MorphData, PartData, SkinData } from "../generated/messages";
+import type { PartData, SkinData } from "../generated/messages";
 import { writePalette } from "../anim/rig";
 import type { Arrays } from "../net/container";
-import { surface, WeightMaterial } from "./materials";
+import { surface } from "./materials";
+import { MorphWeights, SparseMorphs } from "./sparse-morphs";
 
 /** Joint matrices of one skin, written straight from the rig; three.js' own bones are not used. */
 export class PaletteSkeleton extends THREE.Skeleton {
@@ -40,7 +41,7 @@ export interface PartSource {
   readonly geometry: THREE.BufferGeometry;
   readonly material: THREE.Material;
   readonly skin: { palette: Int32Array; inverse: Float32Array; key: number } | null;
-  readonly morphChannels: Int32Array | null;
+  readonly morphs: SparseMorphs | null;
 }
 
 export function partSources(
@@ -60,7 +61,7 @@ export function partSources(
         inverse: arrays.float32(data.skin.joint_from_mesh),
         key: data.skin.palette.offset,
       },
-      morphChannels: data.morphs && arrays.int32(data.morphs.channels),
+      morphs: data.morphs && new SparseMorphs(geometry, data.morphs, arrays),
     };
   });
 }
@@ -74,7 +75,6 @@ function buildGeometry(data: PartData, arrays: Arrays): THREE.BufferGeometry {
   if (data.normals) geometry.setAttribute("normal", new THREE.BufferAttribute(arrays.float32(data.normals), 3));
   else geometry.computeVertexNormals();
   if (data.skin) addSkin(geometry, data.skin, arrays);
-  if (data.morphs) addMorphs(geometry, data.morphs, arrays);
   return geometry;
 }
 
@@ -83,43 +83,27 @@ function addSkin(geometry: THREE.BufferGeometry, skin: SkinData, arrays: Arrays)
   geometry.setAttribute("skinWeight", new THREE.BufferAttribute(arrays.float32(skin.weights), 4));
 }
 
-/** Sparse deltas become dense attributes, which three.js puts into a texture for the vertex shader. */
-function addMorphs(geometry: THREE.BufferGeometry, morphs: MorphData, arrays: Arrays): void {
-  const starts = arrays.uint32(morphs.starts);
-  const vertices = arrays.uint32(morphs.vertices);
-  const count = geometry.attributes.position.count;
-  const dense = (deltas: Float32Array): THREE.BufferAttribute[] =>
-    Array.from({ length: starts.length - 1 }, (_, m) => {
-      const out = new Float32Array(3 * count);
-      for (let n = starts[m]; n < starts[m + 1]; n++) {
-        const v = 3 * vertices[n];
-        out[v] = deltas[3 * n];
-        out[v + 1] = deltas[3 * n + 1];
-        out[v + 2] = deltas[3 * n + 2];
-      }
-      return new THREE.BufferAttribute(out, 3);
-    });
-  geometry.morphTargetsRelative = true;
-  geometry.morphAttributes.position = dense(arrays.float32(morphs.position_deltas));
-  if (morphs.normal_deltas) geometry.morphAttributes.normal = dense(arrays.float32(morphs.normal_deltas));
-}
-
-export type PartMesh = THREE.Mesh & { morphTargetInfluences?: number[] };
+export type PartMesh = THREE.Mesh;
 
 /** One drawn body: the character itself, or one of its ghosts. */
 export class Body {
   readonly group = new THREE.Group();
   readonly meshes: PartMesh[] = [];
   readonly skeletons: PaletteSkeleton[] = [];
+  readonly weights: MorphWeights;
 
+  /** `materials` are the layers of a part, drawn one over the other. */
   constructor(
     readonly sources: PartSource[],
+    morphs: number,
     materials: (source: PartSource) => THREE.Material[],
   ) {
+    this.weights = new MorphWeights(morphs);
     const bySkin = new Map<number, PaletteSkeleton>();
     for (const source of sources) {
       for (const [layer, material] of materials(source).entries()) {
-        const mesh = this.mesh(source, material, bySkin);
+        const mesh = this.mesh(source, this.taught(source, material), bySkin);
+        if (source.morphs) mesh.customDepthMaterial = this.taught(source, new THREE.MeshDepthMaterial({ side: THREE.DoubleSide }));
         mesh.name = source.data.name;
         mesh.frustumCulled = false; // the shader moves the vertices
         mesh.matrixAutoUpdate = false;
@@ -142,10 +126,15 @@ export class Body {
     }
     // three.js would ask its own bones for the bounds, to sort what is transparent
     source.geometry.computeBoundingSphere();
-    mesh.boundingSphere = source.geometry.boundingSphere;
+    mesh.boundingSphere = source.geometry.boundingSphere!;
     mesh.bindMode = THREE.DetachedBindMode;
     mesh.bind(skeleton, new THREE.Matrix4());
     return mesh;
+  }
+
+  /** A material of this body for a part: where the part morphs, one that morphs with this body's weights. */
+  taught<M extends THREE.Material>(source: PartSource, material: M): M {
+    return source.morphs ? source.morphs.teach(material, this.weights) : material;
   }
 
   /** Hand a solved pose to the shaders. */
@@ -163,26 +152,23 @@ export class Body {
         e[12] = world[o + 9]; e[13] = world[o + 10]; e[14] = world[o + 11];
         mesh.matrixWorldNeedsUpdate = true;
       }
-      const channels = source.morphChannels, influences = mesh.morphTargetInfluences;
-      if (channels && influences) for (let m = 0; m < channels.length; m++) influences[m] = morphs[channels[m]];
     }
+    this.weights.write(morphs);
   }
 
   dispose(): void {
     this.group.removeFromParent();
     for (const skeleton of this.skeletons) skeleton.dispose();
+    for (const mesh of this.meshes) mesh.customDepthMaterial?.dispose();
+    this.weights.dispose();
   }
 }
 
 /** Vertex positions after morphing and skinning, computed on the processor: what the shader must show. */
 export function deformedVertices(source: PartSource, world: Float64Array, morphs: Float64Array): Float32Array {
   const base = source.geometry.attributes.position.array as Float32Array;
-  const targets = source.geometry.morphAttributes.position ?? [];
   const local = Float64Array.from(base);
-  targets.forEach((target, m) => {
-    const weight = morphs[source.morphChannels![m]];
-    if (weight !== 0) for (let i = 0; i < local.length; i++) local[i] += weight * target.array[i];
-  });
+  source.morphs?.apply(local, morphs);
   const out = new Float32Array(base.length);
   const joint = source.data.joint;
   const matrices = new Float32Array(16 * (source.skin?.palette.length ?? 0));
@@ -207,5 +193,3 @@ export function deformedVertices(source: PartSource, world: Float64Array, morphs
   }
   return out;
 }
-
-export { WeightMaterial };

@@ -1,0 +1,25 @@
+// Which joint of an animation drives which joint of a skeleton: the rule of keypose.evaluate.match_report.
+
+/** Own name -> name in the animation: exact first, then in other case, then without a namespace. */
+export function matchNames(theirs: Iterable<string>, own: string[]): Map<string, string> {
+  const animated = [...new Set(theirs)];
+  const known = new Set(animated);
+  const sources = new Map<string, string>();
+  for (const name of own) if (known.has(name)) sources.set(name, name);
+  for (const fold of [(n: string) => n.toLowerCase(), bare]) {
+    const used = new Set(sources.values());
+    const free = unique(animated.filter((n) => !used.has(n)), fold);
+    const ours = unique(own.filter((n) => !sources.has(n)), fold);
+    for (const [key, name] of ours) if (free.has(key)) sources.set(name, free.get(key)!);
+  }
+  return sources;
+}
+
+const bare = (name: string) => name.replaceAll("|", ":").split(":").at(-1)!.toLowerCase();
+
+/** Folded name -> name, for those that fold to something of their own. */
+function unique(names: string[], fold: (name: string) => string): Map<string, string> {
+  const found = new Map<string, string[]>();
+  for (const name of names) found.set(fold(name), [...(found.get(fold(name)) ?? []), name]);
+  return new Map([...found].filter(([, group]) => group.length === 1).map(([key, group]) => [key, group[0]]));
+}
