@@ -345,7 +345,7 @@ def test_gradients_reach_weights_positions_and_bind_matrices(rng: np.random.Gene
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("path", data_files("gltf/**/*.glb"), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", data_files("gltf/**/*.gl*"), ids=lambda p: p.name)
 def test_real_skins_reproduce_their_mesh_in_the_bind_pose(path: Path) -> None:
     """With every joint where its inverse bind matrix says it was bound, nothing moves."""
     from keypose.io import load

@@ -196,6 +196,16 @@ def test_sample_takes_clips_and_motions_alike(rng: np.random.Generator) -> None:
         assert_allclose(np.abs(np.sum(a.rotations * b.rotations, axis=-1)), 1, atol=1e-12)
 
 
+def test_sample_matches_names(rng: np.random.Generator) -> None:
+    motion = random_motion(rng, 7, 3, np.float64)
+    base = random_skeleton(rng, 3)
+    skeleton = Skeleton(("ns:Joint0", "ns:Joint1", "other"), base.parents, base.rest)
+    for animation in (motion, to_clip(motion)):
+        pose = sample(animation, skeleton, motion.times_s)
+        assert_array_equal(pose.rotations[:, :2], motion.pose.rotations[:, :2])
+        assert_array_equal(pose.rotations[:, 2], np.tile(base.rest.rotations[2], (7, 1)))
+
+
 def test_a_motion_without_frames_says_so() -> None:
     empty = Motion(("a",), Pose(np.zeros((0, 1, 3)), np.zeros((0, 1, 4)), np.ones((0, 1, 3))), 30, "nothing")
     with pytest.raises(ShapeError, match="motion 'nothing' has no frames"):

@@ -115,18 +115,20 @@ def sample_motion(motion: Motion, times_s: Any, loop: bool = False) -> Pose:
 
 
 def sample(animation: Clip | Motion, skeleton: Skeleton, times_s: Any, loop: bool = False) -> Pose:
-    """The skeleton's pose from a clip or a motion; a motion is first matched to the skeleton by name.
+    """The skeleton's pose from a clip or a motion, which is first matched to the skeleton by name.
 
     Shapes and units: ``times_s`` (*B,) seconds; returns batch shape (*B,). With ``loop`` time goes round with the
-    animation's duration.
+    animation's duration. Ask for many times at once, or use `match` before asking one by one.
     """
-    if isinstance(animation, Motion):
-        from keypose.evaluate.matching import match
+    from keypose.evaluate.matching import match
 
+    if isinstance(animation, Motion):
         return sample_motion(match(animation, skeleton), times_s, loop)
     times = _finite_times(times_s)
     if loop and animation.duration_s > 0:
         times = _wrapped(times, animation.start_s, animation.end_s)
+    if any(channel.property is not Property.WEIGHT for channel in unmatched(animation, skeleton)):
+        animation = match(animation, skeleton)
     return sample_clip(animation, skeleton, times)
 
 
