@@ -1,0 +1,49 @@
+"""The public names, and the rate that a clip's keys were made at."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from keypose import analysis, deform, evaluate
+from keypose.evaluate import key_rate
+from keypose.model import Channel, Clip, Curve, Property
+
+
+def test_the_public_names() -> None:
+    assert sorted(evaluate.__all__) == [
+        "MatchReport", "add", "bake", "blend", "difference", "key_rate", "local", "match", "match_report",
+        "reduce_keys", "resample", "sample", "sample_clip", "sample_curve", "sample_morphs", "sample_motion",
+        "snap_to_keys", "to_clip", "unmatched", "world", "world_rotations_positions",
+    ]  # fmt: skip
+    assert sorted(deform.__all__) == [
+        "METHODS", "Method", "PackReport", "deform_character", "deform_part", "morph", "morph_absolute",
+        "morphs_from_shapes", "pack", "skin", "skin_matrices", "skin_points", "transform_normals",
+    ]  # fmt: skip
+    assert sorted(analysis.__all__) == ["RoundtripError", "roundtrip_error"]
+    for package in (evaluate, deform, analysis):
+        assert all(hasattr(package, name) for name in package.__all__)
+
+
+def clip_at(times: object, rate_hz: float | None = None) -> Clip:
+    values = np.zeros((len(times), 3))
+    return Clip({Channel("hips", Property.TRANSLATION): Curve(times, values)}, rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize("rate_hz", [12, 24000 / 1001, 24, 25, 30000 / 1001, 30, 60, 120, 37.5])
+def test_the_rate_of_uniform_keys_is_found_in_float32_too(rate_hz: float) -> None:
+    for start_s in (0.0, 100.0):
+        times = (start_s + np.arange(300) / rate_hz).astype(np.float32)
+        assert key_rate(clip_at(times)) == pytest.approx(rate_hz, rel=1e-4)
+
+
+def test_keys_that_are_not_on_frames_have_no_rate() -> None:
+    assert key_rate(clip_at([0.0, 0.1, 0.37, 0.9])) is None
+    assert key_rate(clip_at([0.0, 1.0])) is None
+    assert key_rate(Clip()) is None
+    assert key_rate(clip_at([0.0, 0.1, 0.37], rate_hz=24.0)) == 24.0  # what the clip says wins
+
+
+def test_sparse_keys_on_frames_have_the_rate_of_the_frames() -> None:
+    frames = np.array([0, 1, 7, 12, 30, 31, 90])
+    assert key_rate(clip_at(frames / 30)) == pytest.approx(30)
