@@ -25,7 +25,8 @@ from keypose.render.surfaces import Surface, surfaces
 
 _ROWS = 16  # of the picture in one band
 _MASK_SIZE, _CONTACT_SIZE = 256, 128
-_GLASS, _NOT_DRAWN = -1, -2
+_GLASS = -1
+_NOWHERE = np.array([0, -1, 0, -1])
 
 
 class CpuRenderer:
@@ -41,14 +42,14 @@ class CpuRenderer:
         width, height = settings.width, settings.height
         self.still = np.zeros((height, width, 3), np.float32)
         self.still_key = b""
-        self.out = np.zeros((height, width, 4), np.uint8)
+        self.still_bytes = np.zeros((height, width, 4), np.uint8)
         self.workers = max(1, min(os.cpu_count() or 1, 32, -(-height // _ROWS)))
         self.pool = ThreadPoolExecutor(self.workers) if self.workers > 1 else None
         rows, samples = _ROWS, len(self.offsets)
         self.room = [
             (
-                np.empty((rows, width, samples), np.float32),
-                np.empty((rows, width, samples), np.int32),
+                np.ones((rows, width, samples), np.float32),
+                np.full((rows, width, samples), -1, np.int32),
                 np.empty((rows, width, 4), np.float32),
             )
             for _ in range(self.workers)
@@ -77,6 +78,8 @@ class CpuRenderer:
         bands = -(-height // _ROWS)
         starts, members = raster.bin_triangles(setups, _ROWS, bands)
         glass = self._glass(view)
+        out = self.still_bytes.copy()
+        shadow_box = self._shadow_box(floor_from_pixel, view) if settings.shadows and settings.ground else _NOWHERE
         reach = float(np.abs(self.offsets).max())
 
         def band(index: int, room: tuple[Any, Any, Any]) -> None:
@@ -85,12 +88,12 @@ class CpuRenderer:
                 frame, floor_from_pixel, floor_depth, settings.ground, settings.transparent, setups,
                 members[starts[index] : starts[index + 1]], self.owners, self.table, self.layers, self.ghost_count,
                 glass, self.triangles, self.world, self.normals, self.uvs, self.colors, self.texels, self.levels,
-                self.sun_depth, self.crisp, self.soft, self.contact, self.offsets, reach, self.still, top,
-                min(top + _ROWS, height), *room, self.out,
+                self.sun_depth, self.crisp, self.soft, self.contact, shadow_box, self.offsets, reach, self.still, top,
+                min(top + _ROWS, height), *room, out,
             )  # fmt: skip
 
         self._spread(band, bands)
-        return _straight(self.out) if settings.transparent else self.out.copy()
+        return _straight(out) if settings.transparent else out
 
     def close(self) -> None:
         """End the threads."""
@@ -182,9 +185,14 @@ class CpuRenderer:
             return
         world_from_light = np.ascontiguousarray(frame[WORLD_FROM_LIGHT : WORLD_FROM_LIGHT + 4].T)
         block = SHADOW_SIZE // _MASK_SIZE
-        raster.cover_floor(
-            self.sun_depth, world_from_light, view.floor, float(view.key[1]), view.radius, block, self.crisp
-        )
+
+        def cover(index: int, _room: object) -> None:
+            raster.cover_floor(
+                self.sun_depth, world_from_light, view.floor, float(view.key[1]), view.radius, block,
+                index * _ROWS, (index + 1) * _ROWS, self.crisp,
+            )  # fmt: skip
+
+        self._spread(cover, _MASK_SIZE // _ROWS)
         raster.halve(self.crisp, self.soft)
         raster.blur(self.soft, _gaussian(8, 3.4), self.soft)
         below = np.ones((len(self.world), 4))
@@ -225,6 +233,34 @@ class CpuRenderer:
             )
 
         self._spread(band, -(-height // _ROWS))
+        self.still_bytes[..., :3] = np.clip(self.still * 255 + 0.5, 0, 255)
+        self.still_bytes[..., 3] = 255
+
+    def _shadow_box(self, floor_from_pixel: Floats, view: View) -> Ints:
+        """The pixels (left, right, top, bottom) in which the floor may be in shadow."""
+        width, height = self.settings.width, self.settings.height
+        shaded, near = _box(self.soft[..., 0]), _box(self.contact[..., 0])
+        corners: list[Floats] = []
+        world_from_light = np.linalg.inv(view.light_from_world)
+        if shaded is not None:
+            for x, y in itertools.product(shaded[0], shaded[1]):
+                start = world_from_light @ np.array([2 * x - 1, 1 - 2 * y, -1, 1])
+                corners.append(start[:3] - view.key * (start[1] - view.floor) / view.key[1])
+        if near is not None:
+            for x, y in itertools.product(near[0], near[1]):
+                away = 1.15 * view.radius * np.array([2 * x - 1, 0, 1 - 2 * y])
+                corners.append(view.center + away)
+        if not corners or not floor_from_pixel.any():
+            return _NOWHERE
+        # a flat outline stays within the outline of its corners, unless some of them lie behind the eye
+        pixels = [np.linalg.inv(floor_from_pixel) @ (corner[0], corner[2], 1.0) for corner in corners]
+        if any(p[2] <= 0 for p in pixels):
+            return np.array([0, width - 1, 0, height - 1])
+        x, y = np.array([p[:2] / p[2] for p in pixels]).T
+        low, high = np.floor([x.min(), y.min()]) - 1, np.ceil([x.max(), y.max()]) + 1
+        limit = (width - 1, height - 1)
+        (left, top), (right, bottom) = np.clip(low, 0, limit), np.clip(high, 0, limit)
+        return np.array([left, right, top, bottom], np.int64)
 
     def _glass(self, view: View) -> Ints:
         """Triangles that others show through, from far to near."""
@@ -309,6 +345,16 @@ def _floor(view: View, width: int, height: int) -> tuple[Floats, Floats]:
     floor_from_pixel = np.linalg.inv(pixel_from_floor)
     # of the inverse only the sign of the last row's product must be right: it is 1 / w, positive before the eye
     return floor_from_pixel, clip_from_floor[2] @ floor_from_pixel
+
+
+def _box(plane: Floats) -> tuple[Floats, Floats] | None:
+    """First and last place (0..1, one texel to spare) of what is not zero, across and down."""
+    filled = plane > 1e-4
+    if not filled.any():
+        return None
+    spans = [np.nonzero(filled.any(axis=axis))[0] for axis in (0, 1)]
+    across, down = (np.array([s[0] - 1, s[-1] + 2]) / len(plane) for s in spans)
+    return across, down
 
 
 def _gaussian(taps: int, sigma: float) -> Floats:

@@ -116,11 +116,11 @@ def draw_depth(setups, members, alphas, top, bottom, depth):
 
 
 @njit(cache=True, nogil=True)
-def cover_floor(depth, world_from_light, floor, key_height, radius, block, cover):
-    """Share of each block of the light's depth map that is covered, and share times height above the floor / 4."""
+def cover_floor(depth, world_from_light, floor, key_height, radius, block, top, bottom, cover):
+    """Rows of the cover of the floor: share of each block of the light's depth map, and share times height / 4."""
     size = len(cover)
     rim = max(1, size // 85)  # nothing there, so that nothing is smeared outwards from it
-    for j in range(rim, size - rim):
+    for j in range(max(rim, top), min(size - rim, bottom)):
         y = 1 - 2 * (j + 0.5) / size
         for i in range(rim, size - rim):
             x = 2 * (i + 0.5) / size - 1
@@ -191,10 +191,19 @@ def near_floor(depth, result):
 
 
 @njit(cache=True, nogil=True)
-def draw_triangle(row, t, offsets, samples, reach, top, bottom, depth, visible):
-    """One triangle into the samples of a band."""
+def touch(touched, y, first, end):
+    touched[y, 0] = min(touched[y, 0], first)
+    touched[y, 1] = max(touched[y, 1], end)
+
+
+@njit(cache=True, nogil=True)
+def draw_triangle(row, t, offsets, samples, reach, top, bottom, depth, visible, touched):
+    """One triangle into the samples of a band; ``touched`` (rows, 2) grows to the pixels that may have changed."""
     for y in range(max(top, int(row[TOP])), min(bottom - 1, int(row[BOTTOM])) + 1):
         first, last = span(row, y, reach, reach, int(row[LEFT]), int(row[RIGHT]))
+        if last < first:
+            continue
+        touch(touched, y - top, first, last + 1)
         for x in range(first, last + 1):
             for s in range(samples):
                 px, py = x + 0.5 + offsets[s, 0], y + 0.5 + offsets[s, 1]

@@ -27,7 +27,7 @@ from keypose.render.frame import (
     SKY_AMBIENT,
     ZENITH,
 )
-from keypose.render.raster import draw_triangle, span
+from keypose.render.raster import draw_triangle, span, touch
 
 # columns of the table of surfaces
 BASE, EMISSIVE, METALLIC, ROUGHNESS, CUTOFF, OPACITY, UNLIT, FLAT, OVERLAY = 0, 4, 7, 8, 9, 10, 11, 12, 13
@@ -355,7 +355,7 @@ def tone(r, g, b):
 @njit(cache=True, nogil=True)
 def draw_layer(
     setups, members, owners, surfaces, layers, wanted, triangles, uvs, colors, texels, levels, offsets, reach,
-    top, bottom, depth, visible,
+    top, bottom, depth, visible, touched,
 ):  # fmt: skip
     """Depth and triangle of every sample of a band, for the triangles of one layer."""
     for m in range(len(members)):
@@ -367,17 +367,23 @@ def draw_layer(
             continue
         if surface[CUTOFF] > 0:
             draw_masked(
-                row, t, surface, triangles[t], uvs, colors, texels, levels, offsets, reach, top, bottom, depth, visible
-            )
+                row, t, surface, triangles[t], uvs, colors, texels, levels, offsets, reach, top, bottom, depth, visible,
+                touched,
+            )  # fmt: skip
         else:
-            draw_triangle(row, t, offsets, len(offsets), reach, top, bottom, depth, visible)
+            draw_triangle(row, t, offsets, len(offsets), reach, top, bottom, depth, visible, touched)
 
 
 @njit(cache=True, nogil=True)
-def draw_masked(row, t, surface, corner, uvs, colors, texels, levels, offsets, reach, top, bottom, depth, visible):
+def draw_masked(
+    row, t, surface, corner, uvs, colors, texels, levels, offsets, reach, top, bottom, depth, visible, touched
+):
     """One triangle with holes: the alpha of each pixel decides for all its samples."""
     for y in range(max(top, int(row[14])), min(bottom - 1, int(row[15])) + 1):
         first, last = span(row, y, reach, reach, int(row[12]), int(row[13]))
+        if last < first:
+            continue
+        touch(touched, y - top, first, last + 1)
         for x in range(first, last + 1):
             tested, kept = False, True
             for s in range(len(offsets)):
@@ -402,41 +408,51 @@ def draw_masked(row, t, surface, corner, uvs, colors, texels, levels, offsets, r
 def compose_band(
     frame, floor_from_pixel, floor_depth, has_floor, transparent, setups, members, owners, surfaces, layers,
     ghost_layers, glass, triangles, world, normals, uvs, colors, texels, levels, sun_depth, crisp, soft, contact,
-    offsets, reach, still, top, bottom, depth, visible, ink, out,
+    shadow_box, offsets, reach, still, top, bottom, depth, visible, ink, out,
 ):  # fmt: skip
     """Rows top..bottom - 1 of the picture, (H, W, 4) uint8 premultiplied.
 
-    ``depth``, ``visible`` (rows, W, samples) and ``ink`` (rows, W, 4) are room to work in. ``glass`` are the triangles
-    that others show through, from far to near.
+    ``out`` already holds the backdrop. ``depth`` (1 everywhere), ``visible`` (-1 everywhere) (rows, W, samples) and
+    ``ink`` (rows, W, 4) are room to work in. ``shadow_box`` holds the pixels (left, right, top, bottom) in which the floor may be in
+    shadow. ``glass`` are the triangles that others show through, from far to near.
     """
     rows, width, samples = bottom - top, depth.shape[1], depth.shape[2]
-    for y in range(rows):
-        for x in range(width):
-            for channel in range(3):
-                ink[y, x, channel] = 0.0 if transparent else still[top + y, x, channel]
-            ink[y, x, 3] = 0.0 if transparent else 1.0
+    touched = np.empty((rows, 2), np.int64)
+    touched[:, 0], touched[:, 1] = width, 0
+    inked = np.empty((rows, 2), np.int64)  # where the ink has been laid out already
+    inked[:, 0], inked[:, 1] = width, 0
+    shadows = has_floor and frame[KEY, 3] > 0.5
     for ghost in range(1, ghost_layers + 1):
-        depth[:rows] = 1.0
-        visible[:rows] = -1
         draw_layer(
             setups, members, owners, surfaces, layers, ghost, triangles, uvs, colors, texels, levels, offsets, reach,
-            top, bottom, depth, visible,
+            top, bottom, depth, visible, touched,
         )  # fmt: skip
-        paint(
-            frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
-            offsets, top, 0, rows, 0, width, visible, ink,
-        )  # fmt: skip
-    depth[:rows] = 1.0
-    visible[:rows] = -1
+        lay_out(transparent, still, top, touched, inked, ink)
+        for y in range(rows):
+            paint(
+                frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
+                offsets, top, y, touched[y, 0], touched[y, 1], visible, ink,
+            )  # fmt: skip
+            for x in range(touched[y, 0], touched[y, 1]):
+                depth[y, x], visible[y, x] = 1.0, -1
     draw_layer(
         setups, members, owners, surfaces, layers, 0, triangles, uvs, colors, texels, levels, offsets, reach,
-        top, bottom, depth, visible,
+        top, bottom, depth, visible, touched,
     )  # fmt: skip
+    for y in range(rows):
+        if shadows and shadow_box[2] <= top + y <= shadow_box[3]:
+            touch(touched, y, shadow_box[0], shadow_box[1] + 1)
+    for g in range(len(glass)):
+        row = setups[glass[g]]
+        for y in range(max(top, int(row[14])), min(bottom - 1, int(row[15])) + 1):
+            touch(touched, y - top, int(row[12]), int(row[13]) + 1)
+    lay_out(transparent, still, top, touched, inked, ink)
     if has_floor:
-        m, shadows = floor_from_pixel, frame[KEY, 3] > 0.5
+        m = floor_from_pixel
         for y in range(rows):
             py = top + y + 0.5
-            for x in range(width):
+            row_shaded = shadows and shadow_box[2] <= top + y <= shadow_box[3]
+            for x in range(touched[y, 0], touched[y, 1]):
                 px = x + 0.5
                 q = m[2, 0] * px + m[2, 1] * py + m[2, 2]
                 if q <= 0:
@@ -444,11 +460,11 @@ def compose_band(
                 z = floor_depth[0] * px + floor_depth[1] * py + floor_depth[2]
                 open_ = False
                 for s in range(samples):
-                    if visible[y, x, s] < 0 or depth[y, x, s] > z:
+                    if depth[y, x, s] > z:
                         visible[y, x, s] = -1  # under the floor
-                        depth[y, x, s] = min(depth[y, x, s], z)
+                        depth[y, x, s] = z
                         open_ = True
-                if open_ and shadows:
+                if open_ and row_shaded and shadow_box[0] <= x <= shadow_box[1]:
                     wx = (m[0, 0] * px + m[0, 1] * py + m[0, 2]) / q
                     wz = (m[1, 0] * px + m[1, 1] * py + m[1, 2]) / q
                     dark = floor_shade(frame, crisp, soft, contact, wx, wz)
@@ -456,74 +472,93 @@ def compose_band(
                         for channel in range(3):
                             ink[y, x, channel] = ink[y, x, channel] * (1 - dark) + frame[SHADOW_COLOR, channel] * dark
                         ink[y, x, 3] = ink[y, x, 3] * (1 - dark) + dark
-    paint(
-        frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
-        offsets, top, 0, rows, 0, width, visible, ink,
-    )  # fmt: skip
+    for y in range(rows):
+        paint(
+            frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
+            offsets, top, y, touched[y, 0], touched[y, 1], visible, ink,
+        )  # fmt: skip
     if len(glass):
-        visible[:rows] = -1
+        for y in range(rows):
+            for x in range(touched[y, 0], touched[y, 1]):
+                visible[y, x] = -1
     for g in range(len(glass)):
         t = glass[g]
         row, surface = setups[t], surfaces[owners[t]]
         if row[15] < top or row[14] >= bottom or (surface[CULLED] > 0 and row[16] * surface[WINDING] < 0):
             continue
-        draw_triangle(row, t, offsets, samples, reach, top, bottom, depth, visible)
-        first, last = max(top, int(row[14])) - top, min(bottom - 1, int(row[15])) + 1 - top
+        draw_triangle(row, t, offsets, samples, reach, top, bottom, depth, visible, touched)
         left, right = int(row[12]), int(row[13]) + 1
-        paint(
-            frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
-            offsets, top, first, last, left, right, visible, ink,
-        )  # fmt: skip
-        visible[first:last, left:right] = -1
+        for y in range(max(top, int(row[14])) - top, min(bottom - 1, int(row[15])) + 1 - top):
+            paint(
+                frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth,
+                offsets, top, y, left, right, visible, ink,
+            )  # fmt: skip
+            for x in range(left, right):
+                visible[y, x] = -1
     for y in range(rows):
-        for x in range(width):
+        for x in range(touched[y, 0], touched[y, 1]):
             for channel in range(4):
                 out[top + y, x, channel] = int(min(max(ink[y, x, channel], 0.0), 1.0) * 255 + 0.5)
+            for s in range(samples):
+                depth[y, x, s], visible[y, x, s] = 1.0, -1
+
+
+@njit(cache=True, nogil=True)
+def lay_out(transparent, still, top, touched, inked, ink):
+    """The backdrop as ink wherever something was touched and none was laid out before."""
+    for y in range(len(touched)):
+        first, end = touched[y, 0], touched[y, 1]
+        for x in range(first, end):
+            if inked[y, 0] <= x < inked[y, 1]:
+                continue
+            for channel in range(3):
+                ink[y, x, channel] = 0.0 if transparent else still[top + y, x, channel]
+            ink[y, x, 3] = 0.0 if transparent else 1.0
+        inked[y, 0], inked[y, 1] = min(inked[y, 0], first), max(inked[y, 1], end)
 
 
 @njit(cache=True, nogil=True)
 def paint(
     frame, setups, owners, surfaces, triangles, world, normals, uvs, colors, texels, levels, sun_depth, offsets,
-    top, first, last, left, right, visible, ink,
+    top, y, left, right, visible, ink,
 ):  # fmt: skip
-    """Shade what is visible in a box, each triangle once per pixel, and lay it over the ink by its share of samples."""
+    """Shade what is visible in a row, each triangle once per pixel, and lay it over the ink by its share of samples."""
     samples = visible.shape[2]
-    for y in range(first, last):
-        for x in range(left, right):
-            covered = 0.0
-            red = green = blue = opaque = 0.0
-            for s in range(samples):
-                t = visible[y, x, s]
-                if t < 0:
-                    continue
-                done = False
-                for earlier in range(s):
-                    if visible[y, x, earlier] == t:
-                        done = True
-                        break
-                if done:
-                    continue
-                count, mx, my = 0, 0.0, 0.0
-                for other in range(s, samples):
-                    if visible[y, x, other] == t:
-                        count += 1
-                        mx += offsets[other, 0]
-                        my += offsets[other, 1]
-                r, g, b, a = shade(
-                    frame, surfaces[owners[t]], setups[t], triangles[t], world, normals, uvs, colors, texels, levels,
-                    sun_depth, x + 0.5 + mx / count, top + y + 0.5 + my / count,
-                )  # fmt: skip
-                share = count / samples
-                red, green, blue, opaque = (
-                    red + share * r * a,
-                    green + share * g * a,
-                    blue + share * b * a,
-                    opaque + share * a,
-                )
-                covered += share
-            if covered > 0:
-                left = 1 - opaque
-                ink[y, x, 0] = red + left * ink[y, x, 0]
-                ink[y, x, 1] = green + left * ink[y, x, 1]
-                ink[y, x, 2] = blue + left * ink[y, x, 2]
-                ink[y, x, 3] = opaque + left * ink[y, x, 3]
+    for x in range(left, right):
+        covered = 0.0
+        red = green = blue = opaque = 0.0
+        for s in range(samples):
+            t = visible[y, x, s]
+            if t < 0:
+                continue
+            done = False
+            for earlier in range(s):
+                if visible[y, x, earlier] == t:
+                    done = True
+                    break
+            if done:
+                continue
+            count, mx, my = 0, 0.0, 0.0
+            for other in range(s, samples):
+                if visible[y, x, other] == t:
+                    count += 1
+                    mx += offsets[other, 0]
+                    my += offsets[other, 1]
+            r, g, b, a = shade(
+                frame, surfaces[owners[t]], setups[t], triangles[t], world, normals, uvs, colors, texels, levels,
+                sun_depth, x + 0.5 + mx / count, top + y + 0.5 + my / count,
+            )  # fmt: skip
+            share = count / samples
+            red, green, blue, opaque = (
+                red + share * r * a,
+                green + share * g * a,
+                blue + share * b * a,
+                opaque + share * a,
+            )
+            covered += share
+        if covered > 0:
+            left = 1 - opaque
+            ink[y, x, 0] = red + left * ink[y, x, 0]
+            ink[y, x, 1] = green + left * ink[y, x, 1]
+            ink[y, x, 2] = blue + left * ink[y, x, 2]
+            ink[y, x, 3] = opaque + left * ink[y, x, 3]
