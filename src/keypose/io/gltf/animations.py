@@ -50,6 +50,11 @@ class Keys:
         arrays = (self.times_s, self.values, self.in_tangents, self.out_tangents)
         return (self.mode, *(None if a is None else a.tobytes() for a in arrays))
 
+    def only(self, weight: float) -> bool:
+        """Whether the keys never leave a weight, so that they say nothing that the rest does not."""
+        tangents = (t for t in (self.in_tangents, self.out_tangents) if t is not None)
+        return bool(np.all(self.values == np.float32(weight))) and not any(np.any(t) for t in tangents)
+
     def curve(self, kind: CurveKind) -> Curve:
         """The same as a curve."""
         return Curve(self.times_s, self.values, self.mode, self.in_tangents, self.out_tangents, kind)
@@ -98,18 +103,21 @@ class Animations:
                 else:
                     self.weights[number, node] = self.keys(animation.samplers[target.sampler], "weights", count)
 
-    def channels(self, instances: Sequence[MorphInstance]) -> MorphChannels:
-        """Morph channels: one for all targets of a name where nothing tells them apart, else one for each node."""
+    def channels(self, instances: Sequence[MorphInstance], order: Sequence[str] = ()) -> MorphChannels:
+        """Morph channels: one for all targets of a name where nothing tells them apart, else one for each node.
+
+        They are in order of appearance, or in ``order`` where that has the same names.
+        """
         prints: dict[str, set[tuple[Any, ...]]] = {}
         animations = range(len(self._document.animations))
         for instance in instances:
             self._arrays.take(len(instance.targets) * PER_ITEM, self._document.nodes[instance.node].where)
             for index, target in enumerate(instance.targets):
-                moves = [self.weights.get((a, instance.node)) for a in animations]
-                seen = (
-                    instance.rest_weights[index],
-                    *(None if keys is None else keys.column(index).fingerprint() for keys in moves),
-                )
+                rest_weight = instance.rest_weights[index]
+                moves = (self.weights.get((a, instance.node)) for a in animations)
+                columns = (None if keys is None else keys.column(index) for keys in moves)
+                still = (None if keys is None or keys.only(rest_weight) else keys for keys in columns)
+                seen = (rest_weight, *(None if keys is None else keys.fingerprint() for keys in still))
                 prints.setdefault(target, set()).add(seen)
         shared = {target for target, seen in prints.items() if len(seen) == 1}
         names: dict[str, int] = {}
@@ -128,6 +136,11 @@ class Animations:
                     rest.append(instance.rest_weights[index])
                 numbers.append(names[name])
             of_node[instance.node] = np.array(numbers, np.int32)
+        if len(order) == len(names) and set(order) == set(names):
+            moved = np.argsort([names[name] for name in order]).astype(np.int32)  # new place of each channel
+            rest = [rest[names[name]] for name in order]
+            of_node = {node: moved[channels] for node, channels in of_node.items()}
+            names = {name: number for number, name in enumerate(order)}
         told_apart = sorted(set(prints) - shared)
         if told_apart:
             self._notes.add(
@@ -170,10 +183,13 @@ class Animations:
                 if keys is None or channels is None:
                     continue
                 self._arrays.take(len(channels) * PER_ITEM, target.where)
-                for index, channel in enumerate(channels):
+                columns = [keys.column(index) for index in range(len(channels))]
+                # The format animates all targets of a node at once; those that stay at rest are left out.
+                rests = [c.only(float(morphs.rest_weights[m])) for c, m in zip(columns, channels, strict=True)]
+                for column, channel, at_rest in zip(columns, channels, rests, strict=True):
                     key = Channel(morphs.names[channel], Property.WEIGHT)
-                    if key not in curves:  # shared channels have equal keys
-                        curves[key] = keys.column(index).curve(CurveKind.SCALAR)
+                    if key not in curves and (not at_rest or all(rests)):  # shared channels have equal keys
+                        curves[key] = column.curve(CurveKind.SCALAR)
             elif node not in joint_of_node:
                 self._notes.add(f"{target.where}: nodes[{node}] is not in the scene; its animation was dropped")
             else:

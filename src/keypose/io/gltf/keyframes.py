@@ -30,6 +30,17 @@ class Track:
     in_tangents: NDArray[np.floating] | None = None
     out_tangents: NDArray[np.floating] | None = None
 
+    def columns(self, indices: Sequence[int]) -> Track:
+        """Some of the components."""
+        ins, outs = self.in_tangents, self.out_tangents
+        return Track(
+            self.times_s,
+            self.values[:, indices],
+            self.mode,
+            None if ins is None else ins[:, indices],
+            None if outs is None else outs[:, indices],
+        )
+
 
 def track_of(curve: Curve) -> Track:
     """The same curve with one interpolation for all its spans."""

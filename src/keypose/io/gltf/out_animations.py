@@ -5,7 +5,7 @@ Source: glTF 2.0 Specification, section 3.11.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from keypose.io.gltf.buffers import Buffers
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.hierarchy import OWN
 from keypose.io.gltf.keyframes import Track, join, track_of
-from keypose.model import Character, Clip, Curve, Extrapolation, Interpolation, Motion, Property
+from keypose.model import Channel, Character, Clip, Curve, Extrapolation, Interpolation, Motion, Property
 
 NAMES = {Interpolation.STEP: "STEP", Interpolation.LINEAR: "LINEAR", Interpolation.HERMITE: "CUBICSPLINE"}
 WXYZ_TO_XYZW = [1, 2, 3, 0]
@@ -93,10 +93,10 @@ class AnimationWriter:
                     f"animation '{clip.name}': glTF holds the first and last key; other extrapolation was dropped"
                 )
             if channel.property is Property.WEIGHT:
-                if channel.target in morphs:
+                if channel.target in morphs and not (without_rest and _rests(curve, character, channel)):
                     weights[morphs[channel.target]] = curve
             elif channel.target in joints:
-                if without_rest and _rests(curve, character, joints[channel.target], channel.property):
+                if without_rest and _rests(curve, character, channel):
                     continue
                 track = track_of(curve)
                 if len(set(curve.modes[:-1].tolist())) > 1:
@@ -105,16 +105,25 @@ class AnimationWriter:
                 node = written.first_node + joints[channel.target]
                 self._channel(item, node, channel.property.value, track, shift, rotation)
         if weights:
-            rest = np.asarray(character.rest_morph_weights, np.float32)
-            for node, channels in written.morph_nodes:
-                driven = [weights.get(int(c)) for c in channels]
-                if any(c is not None for c in driven):
-                    start = min(float(c.times_s[0]) for c in driven if c is not None)
-                    still = [
-                        Track(np.array([start]), rest[int(c)].reshape(1, 1), Interpolation.LINEAR) for c in channels
-                    ]
-                    tracks = [s if c is None else track_of(c) for c, s in zip(driven, still, strict=True)]
-                    self._channel(item, node, "weights", join(tracks), shift, False)
+            self._weights(item, written, weights, shift)
+
+    def _weights(self, item: _Item, written: WrittenCharacter, weights: Mapping[int, Curve], shift: float) -> None:
+        """All morph channels at the same times, so that those that several nodes share stay equal on all of them."""
+        rest = np.asarray(written.character.rest_morph_weights, np.float32)
+        nodes = [(node, channels) for node, channels in written.morph_nodes if any(int(c) in weights for c in channels)]
+        used = sorted({int(c) for _, channels in nodes for c in channels})
+        if not used:
+            return
+        start = min(float(weights[c].times_s[0]) for c in used if c in weights)
+        tracks = [
+            track_of(weights[c])
+            if c in weights
+            else Track(np.array([start]), rest[c].reshape(1, 1), Interpolation.LINEAR)
+            for c in used
+        ]
+        joined = join(tracks)
+        for node, channels in nodes:
+            self._channel(item, node, "weights", joined.columns([used.index(int(c)) for c in channels]), shift, False)
 
     def _for_resting(self, item: _Item, written: WrittenCharacter, motion: Motion, shift: float) -> None:
         """Keep the length of a motion whose last frames all channels leave out because they rest."""
@@ -166,9 +175,13 @@ class AnimationWriter:
         item.end_s = max(item.end_s, float(track.times_s[-1]))
 
 
-def _rests(curve: Curve, character: Character, joint: int, property: Property) -> bool:
+def _rests(curve: Curve, character: Character, channel: Channel) -> bool:
     """Whether a curve only says what the rest pose says already."""
-    rest = getattr(character.skeleton.rest, f"{property.value}s")[joint]
+    if channel.property is Property.WEIGHT:
+        rest = np.asarray(character.rest_morph_weights)[character.morph_index(channel.target)]
+    else:
+        joint = character.skeleton.index(channel.target)
+        rest = getattr(character.skeleton.rest, f"{channel.property.value}s")[joint]
     return curve.key_count <= 2 and bool(np.all(np.asarray(curve.values, np.float32) == np.asarray(rest, np.float32)))
 
 

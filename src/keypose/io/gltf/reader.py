@@ -51,7 +51,7 @@ def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials
     tree, scene_name = hierarchy.build(document, notes)
     surfaces = Surfaces(document, arrays, notes)
     animations = Animations(document, arrays, notes)
-    channels = animations.channels(_morph_instances(document, tree, notes))
+    channels = animations.channels(_morph_instances(document, tree, notes), _own_morph_order(document))
     clips = animations.clips(tree.skeleton.names, tree.joint_of_node, channels)
     parts = _parts(document, tree, arrays, surfaces, materials, channels, notes)
     _note_what_is_dropped(document, tree, notes)
@@ -166,6 +166,18 @@ def _part_name(extras: Mapping[str, Any], name: str) -> str:
     return given if isinstance(given, str) else name
 
 
+def _own(document: Document) -> Mapping[str, Any]:
+    """What keypose itself has written about the whole file."""
+    extras = document.asset.get("extras")
+    own = extras.get(OWN) if isinstance(extras, dict) else None
+    return own if isinstance(own, dict) else {}
+
+
+def _own_morph_order(document: Document) -> list[str]:
+    order = _own(document).get("morphs")
+    return order if isinstance(order, list) and all(isinstance(name, str) for name in order) else []
+
+
 def _own_roles(document: Document, tree: Hierarchy) -> dict[str, int]:
     """Roles that keypose has written into the nodes."""
     roles: dict[str, int] = {}
@@ -204,10 +216,7 @@ def _extras(document: Document) -> dict[str, Any]:
 
 def _restored(scene: Scene, document: Document) -> Scene:
     """The scene with what keypose kept of the file it was converted from."""
-    extras = document.asset.get("extras")
-    own = extras.get(OWN) if isinstance(extras, dict) else None
-    if not isinstance(own, dict):
-        return scene
+    own = _own(document)
     source = own.get("source")
     kept = {k: v for k, v in source.items() if k != "gltf"} if isinstance(source, dict) else {}
     character = own.get("character")

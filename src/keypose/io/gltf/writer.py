@@ -152,6 +152,8 @@ class _Writer:
         characters = [{k: v for k, v in c.extras.items() if k != "gltf"} for c in scene.characters]
         if len(characters) == 1 and characters[0]:
             own["character"] = plain_json(characters[0], self._notes, "the character")
+        if len(scene.characters) == 1 and len({p.group for p in scene.character.parts if p.morphs is not None}) > 1:
+            own["morphs"] = list(scene.character.morph_names)  # their order cannot be seen from several meshes
         extras = dict(plain_json(_mapping(kept.get("asset_extras")), self._notes, "the asset"))
         if own:
             extras[OWN] = own
@@ -191,6 +193,11 @@ class _Writer:
                 self._nodes[node]["skin"] = self._surfaces.skin(group.first.skin, first)
             if group.first.morphs is not None and group.first.morph_channels is not None:
                 morph_nodes.append((node, group.first.morph_channels))
+        driving = {int(m) for _, channels in morph_nodes for m in channels}
+        idle = [name for m, name in enumerate(character.morph_names) if m not in driving]
+        if idle:
+            shown = ", ".join(idle[:6]) + (", …" if len(idle) > 6 else "")
+            self._notes.add(f"character '{character.name}': {len(idle)} morph channels drive nothing: {shown}")
         self._roots += roots
         return WrittenCharacter(character, first, morph_nodes)
 
