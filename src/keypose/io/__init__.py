@@ -51,8 +51,6 @@ def load(path: str | PathLike[str], **options: Any) -> Scene:
         scene: Scene = reader(path, **checked_options(reader, options, chosen.name))
     except FormatError as error:
         raise (error if error.path else error.at(path)) from None
-    except ShapeError as error:  # data that a reader let through but no model type accepts
-        raise FormatError(str(error), path=path) from error
     except OSError as error:
         raise FormatError(f"cannot be read: {error.strerror or error}", path=error.filename or path) from None
     if found and named and found is not named:

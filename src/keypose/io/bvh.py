@@ -186,7 +186,7 @@ class _Reader:
         return added, positions
 
     def sampled_positions(self, adds: Flags) -> Floats:
-        from keypose.evaluate import world_rotations_positions
+        from keypose.evaluate import world
 
         if not len(self.sampled) or len(self.names) > 4096:
             return np.zeros((0, len(self.names), 3))
@@ -196,7 +196,7 @@ class _Reader:
             rotations_of(values, self.layout),
             np.ones((len(self.names), 3)),
         )
-        return np.array(world_rotations_positions(self.skeleton(1.0, "Y"), pose)[1])
+        return np.array(world(self.skeleton(1.0, "Y"), pose)[..., :3, 3])
 
     def rest_positions(self) -> Floats:
         positions = self.offsets.copy()

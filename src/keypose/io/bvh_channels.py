@@ -19,7 +19,7 @@ from keypose.math import euler, quat
 Positions = Literal["replace", "add"]
 Flags = NDArray[np.bool_]
 
-_SMALL_TURNS = 7_000_000_000  # joints times frames below which the compiled kernels are not worth loading
+_SMALL_TURNS = 7_000  # joints times frames below which the compiled kernels are not worth loading
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +136,24 @@ def root_positions_rule(offset: Floats, positions: Floats, lowest: Floats) -> Po
     return "add" if along < 0.5 * length and abs(ground + length) < abs(ground) else "replace"
 
 
-def degrees_of(rotations: Floats, orders: Sequence[str]) -> Floats:
-    """Angles (T, J, 3) in degrees, in each joint's own order, running on smoothly along time.
+def write_degrees(values: Floats, rotations: Floats, where: Layout) -> Floats:
+    """Write the angles of all joints, each in its own order and smooth along time, into their columns.
 
-    Shapes and units: ``rotations`` (T, J, 4).
+    Shapes and units: ``values`` (T, C) gets degrees; ``rotations`` (T, J, 4). Returns (J, 3), the largest size of the
+    angles that have no column.
     """
     frames, joints = rotations.shape[:2]
     if frames * joints > _SMALL_TURNS:
         from keypose.kernels.euler import degrees_from_quaternions
 
-        return degrees_from_quaternions(rotations, orders)
-    degrees = np.empty((frames, joints, 3))
-    for order in sorted(set(orders)):
-        chosen = [j for j, other in enumerate(orders) if other == order]
+        return degrees_from_quaternions(rotations, where.orders, where.rotation_columns, values)
+    lost = np.zeros((joints, 3))
+    for order in sorted(set(where.orders)):
+        chosen = [j for j, other in enumerate(where.orders) if other == order]
         angles = euler.from_quat(rotations[:, chosen], order)
-        degrees[:, chosen] = np.degrees(euler.unroll(angles, order, axis=0))
-    return degrees
+        degrees = np.degrees(euler.unroll(angles, order, axis=0))
+        columns = where.rotation_columns[chosen]
+        used = columns < where.column_count
+        values[:, columns[used]] = degrees[:, used]
+        lost[chosen] = np.where(used, 0.0, np.abs(degrees).max(axis=0, initial=0.0))
+    return lost

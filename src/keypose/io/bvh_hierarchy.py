@@ -15,6 +15,7 @@ _LONGEST_LINE = 1 << 20
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n?|\n|\Z)")
 _CHANNEL = re.compile(r"([XYZ])(position|rotation)\Z", re.IGNORECASE)
+_NAMED = re.compile(r"(?:ROOT|JOINT)(?=[ \t{]|\Z)", re.IGNORECASE)
 _BRACES = str.maketrans({"{": " { ", "}": " } "})
 
 Vector = tuple[float, float, float]
@@ -90,24 +91,29 @@ class _Words:
 
     def _split(self, data: bytes) -> Iterator[list[str]]:
         for match in _LINE.finditer(data):
-            if len(match[1]) > _LONGEST_LINE:
-                raise FormatError(f"a line of {len(match[1])} bytes in the hierarchy", where=f"line {self.line + 1}")
+            raw = match[1]
+            if len(raw) > _LONGEST_LINE:
+                raise FormatError(f"a line of {len(raw)} bytes in the hierarchy", where=f"line {self.line + 1}")
             try:
-                line = match[1].decode("utf-8")
+                line = raw.decode().lstrip()
             except UnicodeDecodeError:
-                line = match[1].decode("latin-1")
+                line = raw.decode("latin-1").lstrip()
                 self.latin = True
-            stripped = line.lstrip()
-            yield [] if stripped.startswith(("#", "//")) else _split_line(stripped)
+            yield [] if line.startswith(("#", "//")) else _split_line(line)
 
 
 def _split_line(line: str) -> list[str]:
     """Words of one line; the name after ROOT or JOINT keeps its blanks and stays one word, also when it is empty."""
-    keyword = line[:5].split("{")[0].split(None, 1)[0:1]
-    if keyword and keyword[0].upper() in ("ROOT", "JOINT") and line[len(keyword[0]) : len(keyword[0]) + 1] in " \t{":
-        name, brace, rest = line[len(keyword[0]) :].partition("{")
-        return [keyword[0], name.strip(), *f"{brace}{rest}".translate(_BRACES).split()]
-    return line.translate(_BRACES).split()
+    named = _NAMED.match(line)
+    if named:
+        name, brace, rest = line[named.end() :].partition("{")
+        return [named[0], name.strip(), *_separated(brace + rest).split()]
+    return _separated(line).split()
+
+
+def _separated(line: str) -> str:
+    """The line with blanks around its braces."""
+    return line.translate(_BRACES) if "{" in line or "}" in line else line
 
 
 class _Parser:

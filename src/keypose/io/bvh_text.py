@@ -23,6 +23,7 @@ from keypose.io.text import format_rows, line_of, parse_block, shown, to_number
 # bytes of poses per byte of its own (a joint of three rotations needs about two), and for _FREE_BYTES in any case.
 _BYTES_PER_BYTE = 64
 _FREE_BYTES = 1 << 26
+_DEEPEST_INDENT = 100
 
 _MOTION = re.compile(rb"(?:\A|[\r\n])[ \t]*MOTION(?=\s|\Z)", re.IGNORECASE)
 _GAP = rb"\s*+(?:(?:#|//)[^\r\n]*+\s*+)*+"
@@ -188,15 +189,15 @@ def compose(text: BvhText, decimals: int) -> list[bytes]:
     open_joints: list[int] = []
 
     def close() -> None:
-        tabs = "\t" * len(open_joints)
+        tabs = _tabs(len(open_joints))
         for offset in ends.get(open_joints.pop(), ()):
             lines.extend((f"{tabs}End Site", f"{tabs}{{", f"{tabs}\tOFFSET {_offset(offset, decimals)}", f"{tabs}}}"))
-        lines.append(f"{tabs[1:]}}}")
+        lines.append(f"{_tabs(len(open_joints))}}}")
 
     for index, joint in enumerate(text.hierarchy.joints):
         while open_joints and open_joints[-1] != joint.parent:
             close()
-        tabs = "\t" * len(open_joints)
+        tabs = _tabs(len(open_joints))
         lines.append(f"{tabs}{'ROOT' if joint.parent < 0 else 'JOINT'} {joint.name}")
         lines.append(f"{tabs}{{")
         lines.append(f"{tabs}\tOFFSET {_offset(joint.offset or (0.0, 0.0, 0.0), decimals)}")
@@ -207,6 +208,11 @@ def compose(text: BvhText, decimals: int) -> list[bytes]:
         close()
     lines += ["MOTION", f"Frames: {len(text.values)}", f"Frame Time: {text.frame_time_text}", ""]
     return ["\n".join(lines).encode(), format_rows(text.values, decimals)]
+
+
+def _tabs(depth: int) -> str:
+    """The indentation; a chain of 100,000 joints would else take gigabytes of tabs."""
+    return "\t" * min(depth, _DEEPEST_INDENT)
 
 
 def _offset(offset: Vector, decimals: int) -> str:

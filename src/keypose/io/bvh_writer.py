@@ -18,7 +18,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.io.atomic import replacing
 from keypose.io.axes import checked_up, unit_in_metres, y_up_rotation
-from keypose.io.bvh_channels import Flags, child_positions_rule, degrees_of, layout, root_positions_rule
+from keypose.io.bvh_channels import Flags, child_positions_rule, layout, root_positions_rule, write_degrees
 from keypose.io.bvh_hierarchy import BvhJoint, Hierarchy
 from keypose.io.bvh_text import BvhText, compose
 from keypose.math import quat
@@ -73,7 +73,7 @@ def write(
     motion = _motion(scene, character, rate_hz, animation, notes)
     unit_m = remembered.unit_m if unit is None else unit_in_metres(unit)
     up = remembered.up if up is None else checked_up(up)
-    body = _body(character, motion, remembered, unit_m, up, notes)
+    body = _body(character, motion, remembered, up, notes)
     text = _text(body, remembered, order, motion.rate_hz, unit_m, notes)
     if decimals is None:
         digits = int(np.ceil(np.log10(unit_m / _RESOLUTION_M) - 1e-9))
@@ -133,7 +133,7 @@ class _Remembered:
 
 @dataclass(slots=True)
 class _Body:
-    """A skeleton in depth-first order with its motion, in the file's unit and axes."""
+    """A skeleton in depth-first order with its motion, in the file's axes, in metres."""
 
     names: list[str]
     parents: Ints  # (J,)
@@ -176,10 +176,8 @@ def _motion(
     return motion
 
 
-def _body(
-    character: Character, motion: Motion, remembered: _Remembered, unit_m: float, up: str, notes: list[str]
-) -> _Body:
-    """Everything turned and scaled into the file's space, in the order the file has it."""
+def _body(character: Character, motion: Motion, remembered: _Remembered, up: str, notes: list[str]) -> _Body:
+    """Everything turned into the file's space, in the order the file has it."""
     skeleton = character.skeleton
     pose, rest = motion.pose, skeleton.rest
     rotations = np.broadcast_to(pose.rotations, (motion.frame_count, *pose.rotations.shape[-2:]))
@@ -203,13 +201,12 @@ def _body(
         translations[:, roots] = quat.rotate(to_file, translations[:, roots])
         if remembered.rest_turned:
             offsets[roots] = quat.rotate(to_file, offsets[roots])
-    file_unit = np.float64(1 / unit_m)
     body = _Body(
         [skeleton.names[j] for j in order],
         parents,
-        offsets * file_unit,
-        [(int(place[joint]), cast("Any", tuple((offset * file_unit).tolist()))) for joint, offset in ends],
-        translations * file_unit,
+        offsets,
+        [(int(place[joint]), cast("Any", tuple(offset.tolist()))) for joint, offset in ends],
+        translations,
         rotations,
     )
     if np.count_nonzero(parents < 0) > 1 and not remembered.known:
@@ -224,49 +221,58 @@ def _text(
     channels = [
         _channels(remembered, name, parent < 0, order) for name, parent in zip(body.names, body.parents, strict=True)
     ]
-    moved = np.abs(body.translations - body.offsets).max(axis=(0, 2), initial=0.0) * unit_m > _NO_MOVE_M
+    moved = _largest_move(body) > _NO_MOVE_M
     gained: list[str] = []
     for joint in range(count):
         if moved[joint] and sum(name in channels[joint] for name in _POSITIONS) < 3:
             channels[joint] = (*_POSITIONS, *(c for c in channels[joint] if c not in _POSITIONS))
             gained.append(body.names[joint])
     where = layout(channels)
-    degrees = degrees_of(body.rotations, where.orders)
-    missing = where.rotation_columns == where.column_count
-    if missing.any():
-        turned = (np.abs(degrees).max(axis=0, initial=0.0) > _NO_TURN_DEG) & missing
-        for joint in np.nonzero(turned.any(axis=1))[0]:
+    values = np.empty((len(body.rotations), where.column_count))
+    lost = write_degrees(values, body.rotations, where)
+    turned = np.nonzero((lost > _NO_TURN_DEG).any(axis=1))[0]
+    if len(turned):  # joints with less than three rotation channels turn about other axes too
+        for joint in turned:
             kept = tuple(c for c in channels[joint] if c in _POSITIONS)
             channels[joint] = (*kept, *(f"{axis}rotation" for axis in where.orders[joint]))
             gained.append(body.names[joint])
         where = layout(channels)
+        values = np.empty((len(body.rotations), where.column_count))
+        write_degrees(values, body.rotations, where)
     if gained and remembered.known:
         notes.append(f"{len(gained)} joints got channels they did not have, for they move: {_listed(gained)}")
     adds = _adds(body, where.position_columns < where.column_count, remembered, notes)
-    values = np.empty((len(degrees), where.column_count))
-    used = where.rotation_columns < where.column_count
-    values[:, where.rotation_columns[used]] = degrees[:, used]
     for joint in where.moving:
         for axis in range(3):
             column = where.position_columns[joint, axis]
             if column < where.column_count:
                 base = body.offsets[joint, axis] if adds[joint] else 0.0
-                values[:, column] = body.translations[:, joint, axis] - base
+                values[:, column] = (body.translations[:, joint, axis] - base) / unit_m
     hierarchy = Hierarchy(
         [
             BvhJoint(
                 _file_name(name, remembered, notes),
                 int(body.parents[j]),
-                cast("Any", tuple(body.offsets[j].tolist())),
+                _in_unit(body.offsets[j], unit_m),
                 channels[j] if channels[j] or remembered.has_channels_line(name) else None,
             )
             for j, name in enumerate(body.names)
         ],
-        _ends(body, remembered),
+        [(joint, _in_unit(np.array(offset), unit_m)) for joint, offset in _ends(body, remembered)],
     )
     same_rate = remembered.frame_time and remembered.rate_hz == rate_hz
     frame_time = remembered.frame_time if same_rate else f"{1 / rate_hz:.12g}"
     return BvhText(hierarchy, values, 1 / rate_hz, frame_time, [])
+
+
+def _largest_move(body: _Body) -> Floats:
+    """How far each joint's translation gets from its OFFSET along any axis, (J,)."""
+    if not len(body.translations):
+        return np.zeros(len(body.offsets))
+    # reductions along the first axis of a table run at memory speed; over two axes at once they do not
+    flat = body.translations.reshape(len(body.translations), -1)
+    high, low = (f(axis=0).reshape(-1, 3) for f in (flat.max, flat.min))
+    return np.maximum(high - body.offsets, body.offsets - low).max(axis=1)
 
 
 def _channels(remembered: _Remembered, name: str, is_root: bool, order: str | None) -> tuple[str, ...]:
@@ -381,6 +387,11 @@ def _joined(body: _Body, notes: list[str]) -> _Body:
         np.concatenate([np.zeros((frames, 1, 3)), body.translations], axis=1),
         np.concatenate([still, body.rotations], axis=1),
     )
+
+
+def _in_unit(vector: Floats, unit_m: float) -> tuple[float, float, float]:
+    x, y, z = (vector / unit_m).tolist()
+    return x, y, z
 
 
 def _ends(body: _Body, remembered: _Remembered) -> list[tuple[int, tuple[float, float, float]]]:
