@@ -24,6 +24,7 @@ from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, inlined, kerne
 from keypose.kernels.vectors import fill, lanes, load, maximum, pointer, rsqrt, splat, store, store_triples
 
 _SLOTS = 4  # influences whose matrices a crowd's kernel holds in registers
+_ROW = 12  # numbers per vertex: three weights, point (x, y, z, 1), normal, two unused
 
 _POSITIONS, _SAME_MATRICES, _OWN_MATRICES = 0, 1, 2  # what becomes of normals
 
@@ -49,7 +50,7 @@ class CompiledMesh:
     # [run][first row, rows, adds to what is there, four joints]
     runs: np.ndarray
     run_vertices: np.ndarray  # [row]
-    run_rows: np.ndarray  # float32 [row][16]: four times weight * (x, y, z, 1), or weights, point and normal
+    run_rows: np.ndarray  # float32 [row][12], see `_skin_run`
 
 
 # --- Python-level entries -------------------------------------------------------------------------------------------------
@@ -155,7 +156,7 @@ def skin_crowd(
         raise ShapeError(f"out: expected {shape} of float32, got {out.shape} of {out.dtype}")
     _skin_blocks(
         readable(models, np.float32), models.shape[1], palette, readable(bind, np.float32), mesh.runs,
-        mesh.run_vertices, mesh.run_rows, mesh.with_normals, with_normals, mesh.vertex_count, out.reshape(-1),
+        mesh.run_vertices, mesh.run_rows, with_normals, mesh.vertex_count, out.reshape(-1),
     )  # fmt: skip
     return out
 
@@ -237,12 +238,11 @@ def _runs(groups: Any, joints: Any, weights: Any, points: Any) -> tuple[np.ndarr
             weight[:, : len(four)] = weights[group, at : at + len(four)]
             slots = np.zeros(_SLOTS, np.int64)
             slots[: len(four)] = four
-            row = np.zeros((len(group), 16), np.float32)
-            if points.shape[1] == 3:
-                homogeneous = np.concatenate([points[group], np.ones((len(group), 1), np.float32)], axis=1)
-                row[:] = (weight[:, :, None] * homogeneous[:, None, :]).reshape(len(group), 16)
-            else:
-                row[:, :4], row[:, 4:10] = weight, points[group]
+            total = weight.sum(axis=1, keepdims=True)
+            row = np.zeros((len(group), _ROW), np.float32)
+            row[:, :3] = np.divide(weight, total, where=total > 0, out=np.zeros_like(weight))[:, 1:]
+            row[:, 3:6], row[:, 6:7] = points[group, :3] * total, total
+            row[:, 7 : 4 + points.shape[1]] = points[group, 3:] * total
             table.append([start, len(group), int(at > 0), *slots])
             vertices.append(group)
             rows.append(row)
@@ -371,49 +371,36 @@ def _palette_matrices(models, at, palette, bind, out):
 
 
 @inlined
-def _dot4(rows, at, m0, m1, m2, m3):
-    return m0 * splat(rows, at) + m1 * splat(rows, at + 1) + m2 * splat(rows, at + 2) + m3 * splat(rows, at + 3)
-
-
-@inlined
-def _mix(wa, wb, wc, wd, a, b, c, d):
-    return wa * a + wb * b + wc * c + wd * d
-
-
-@kernel
-def _run_positions(bones, a, b, c, d, rows, vertices, start, count, adds, out, at):
-    """One run of a mesh without normals: sixteen multiply-adds per row, matrices in registers."""
-    for row in range(3):
-        k = 4 * row * WIDTH
-        a0, a1, a2, a3 = load4(bones, a + k, WIDTH)
-        b0, b1, b2, b3 = load4(bones, b + k, WIDTH)
-        c0, c1, c2, c3 = load4(bones, c + k, WIDTH)
-        d0, d1, d2, d3 = load4(bones, d + k, WIDTH)
-        for v in range(start, start + count):
-            here, to = 16 * v, at + (3 * vertices[v] + row) * WIDTH
-            first = _dot4(rows, here, a0, a1, a2, a3) + _dot4(rows, here + 8, c0, c1, c2, c3)
-            point = first + (_dot4(rows, here + 4, b0, b1, b2, b3) + _dot4(rows, here + 12, d0, d1, d2, d3))
-            if adds:
-                point = point + load(out, to)
-            store(out, to, point)
+def _differences(bones, a, b, at):
+    """Four entries of bone b less those of bone a."""
+    a0, a1, a2, a3 = load4(bones, a + at, WIDTH)
+    b0, b1, b2, b3 = load4(bones, b + at, WIDTH)
+    return b0 - a0, b1 - a1, b2 - a2, b3 - a3
 
 
 @kernel
-def _run_with_normals(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at):
-    """One run of a mesh with normals: the matrices are blended first, for both use them."""
+def _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at):
+    """Vertices moved by the same four bones, whose matrices stay in registers.
+
+    With weights that sum to 1 the blended matrix is A + wb (B - A) + wc (C - A) + wd (D - A): one multiply-add less per
+    entry. The rows hold weights of sum 1, and point and normal times what they summed to.
+    """
     size = 6 if normals else 3
     for row in range(3):
         k = 4 * row * WIDTH
         a0, a1, a2, a3 = load4(bones, a + k, WIDTH)
-        b0, b1, b2, b3 = load4(bones, b + k, WIDTH)
-        c0, c1, c2, c3 = load4(bones, c + k, WIDTH)
-        d0, d1, d2, d3 = load4(bones, d + k, WIDTH)
+        b0, b1, b2, b3 = _differences(bones, a, b, k)
+        c0, c1, c2, c3 = _differences(bones, a, c, k)
+        d0, d1, d2, d3 = _differences(bones, a, d, k)
         for v in range(start, start + count):
-            here, to = 16 * v, at + (size * vertices[v] + row) * WIDTH
-            wa, wb, wc, wd = splat(rows, here), splat(rows, here + 1), splat(rows, here + 2), splat(rows, here + 3)
-            e0, e1 = _mix(wa, wb, wc, wd, a0, b0, c0, d0), _mix(wa, wb, wc, wd, a1, b1, c1, d1)
-            e2, e3 = _mix(wa, wb, wc, wd, a2, b2, c2, d2), _mix(wa, wb, wc, wd, a3, b3, c3, d3)
-            point = e0 * splat(rows, here + 4) + e1 * splat(rows, here + 5) + e2 * splat(rows, here + 6) + e3
+            here, to = _ROW * v, at + (size * vertices[v] + row) * WIDTH
+            wb, wc, wd = splat(rows, here), splat(rows, here + 1), splat(rows, here + 2)
+            e0 = a0 + wb * b0 + wc * c0 + wd * d0
+            e1 = a1 + wb * b1 + wc * c1 + wd * d1
+            e2 = a2 + wb * b2 + wc * c2 + wd * d2
+            e3 = a3 + wb * b3 + wc * c3 + wd * d3
+            point = e0 * splat(rows, here + 3) + e1 * splat(rows, here + 4)
+            point = point + e2 * splat(rows, here + 5) + e3 * splat(rows, here + 6)
             if adds:
                 point = point + load(out, to)
             store(out, to, point)
@@ -426,7 +413,7 @@ def _run_with_normals(bones, a, b, c, d, rows, vertices, start, count, adds, nor
 
 
 @kernel
-def _skin_blocks(models, joints, palette, bind, runs, vertices, rows, blended, normals, vertex_count, out):
+def _skin_blocks(models, joints, palette, bind, runs, vertices, rows, normals, vertex_count, out):
     memory = scratch(palette.shape[0] * 12 * WIDTH)
     each = 12 * WIDTH
     blocks, run_count = models.shape[0] // (joints * each), runs.shape[0] // 7
@@ -438,7 +425,4 @@ def _skin_blocks(models, joints, palette, bind, runs, vertices, rows, blended, n
         for r in range(run_count):
             start, count, adds = runs[7 * r], runs[7 * r + 1], runs[7 * r + 2] != 0
             a, b, c, d = runs[7 * r + 3] * each, runs[7 * r + 4] * each, runs[7 * r + 5] * each, runs[7 * r + 6] * each
-            if blended:
-                _run_with_normals(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at)
-            else:
-                _run_positions(bones, a, b, c, d, rows, vertices, start, count, adds, out, at)
+            _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at)

@@ -147,6 +147,23 @@ def pointer(typing, array):
     return types.CPointer(array.dtype)(array), generate
 
 
+def _pointer_from(dtype, doc):
+    def typed(typing, place):
+        def generate(context, builder, sig, args):
+            place = context.cast(builder, args[0], sig.args[0], types.intp)
+            return builder.inttoptr(place, context.get_data_type(dtype).as_pointer())
+
+        return types.CPointer(dtype)(place), generate
+
+    typed.__doc__ = doc
+    return intrinsic(typed)
+
+
+float32_at = _pointer_from(types.float32, "An address as a pointer to float32.")
+int32_at = _pointer_from(types.int32, "An address as a pointer to int32.")
+int64_at = _pointer_from(types.int64, "An address as a pointer to int64.")
+
+
 @intrinsic
 def lanes(typing, array):
     """How many elements of this array one vector holds; a compile-time constant."""
@@ -181,10 +198,12 @@ def load_sixteen(typing, array, index):
 
 
 @intrinsic
-def load_int16(typing, array, index):
-    """W neighbouring int16 values, converted to float32 lanes."""
+def load_numbers(typing, array, index):
+    """W neighbours of a float32 or int16 array, as float32 lanes."""
 
     def generate(context, builder, sig, args):
+        if array.dtype == types.float32:
+            return read(builder, address(context, builder, sig, args, 0, FLOATS.llvm), 4)
         short = ir.VectorType(ir.IntType(16), WIDTH)
         value = read(builder, address(context, builder, sig, args, 0, short), 2)
         return builder.sitofp(builder.sext(value, ir.VectorType(_INT, WIDTH)), FLOATS.llvm)
