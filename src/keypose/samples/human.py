@@ -258,7 +258,9 @@ def joint_mirror(names: tuple[str, ...]) -> Ints:
 def _detail_part(name: str, material: str, details: list[human_details.Detail]) -> Part:
     offsets = np.cumsum([0, *(len(p) for p, _, _ in details)])
     triangles = np.vstack([t + o for (_, t, _), o in zip(details, offsets, strict=False)])
-    return _part(name, material, np.vstack([p for p, _, _ in details]), triangles, np.vstack([w for _, _, w in details]))
+    return _part(
+        name, material, np.vstack([p for p, _, _ in details]), triangles, np.vstack([w for _, _, w in details])
+    )
 
 
 def _face_parts() -> list[Part]:
@@ -280,13 +282,12 @@ def _face_parts() -> list[Part]:
     turns = normal_turns(head.points, head.triangles, moves["skin"])
     weights = _head_weights(head, jaw)
     outside, bag = head.triangles[~head.inside], head.triangles[head.inside]
-    skin = {"group": 6, "moves": moves["skin"], "turns": turns}
     lashes = _lashes(head)
     follows = _joined(lashes).follows
     material = {"upper_teeth": "teeth", "lower_teeth": "teeth"}
     return [
-        _part("head", "skin", head.points, outside, weights, normals, _skin_tint(head), **skin),
-        _part("mouth", "mouth", head.points, bag, weights, normals, **skin),
+        _part("head", "skin", head.points, outside, weights, normals, _skin_tint(head), 6, moves["skin"], turns),
+        _part("mouth", "mouth", head.points, bag, weights, normals, None, 6, moves["skin"], turns),
         *(_piece_part(n, material.get(n, n), p, moves[n]) for n, p in pieces.items()),
         _piece_part("lashes", "lashes", lashes, moves["skin"][:, follows]),
     ]

@@ -6,6 +6,7 @@ Only the left half is written down; `Cage.mirrored` adds the right one. Places a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,8 +44,7 @@ def _spine(y: float) -> dict[str, float]:
 
 # height, half width, front, back
 _TRUNK = (
-    (0.952, 0.140, 0.098, 0.104),
-    (0.923, 0.150, 0.106, 0.112),
+    (0.940, 0.146, 0.102, 0.108),
     (0.926, 0.157, 0.112, 0.118),
     (0.943, 0.158, 0.112, 0.118),
     (0.960, 0.157, 0.111, 0.117),
@@ -55,7 +55,7 @@ _TRUNK = (
     (1.145, 0.158, 0.121, 0.113),
     (1.198, 0.163, 0.126, 0.117),
 )
-_RIB_ROWS, _STRIPE_ROW = 5, 3
+_RIB_ROWS, _STRIPE_ROW = 4, 2
 
 _CHEST = np.array(
     [
@@ -97,7 +97,7 @@ def _shoulder_weights(k: int, row: float) -> dict[str, float]:
     clavicle = side * (0.25, 0.4, 0.58, 0.72, 0.8, 0.6, 0.25)[int(row)]
     weights = _mix(base, {"LeftShoulder": 1.0}, clavicle)
     arm = {3: 0.3, 4: 0.42, 5: 0.3, 2: 0.05, 6: 0.06}.get(k, 0.0) * (1.0, 1.0, 1.0, 0.9, 0.62, 0.12, 0.0)[int(row)]
-    weights = _mix(weights, {"LeftArmTwist": 1.0}, arm)
+    weights = _mix(weights, {"LeftArm": 1.0}, arm)
     return _mix(weights, {"Neck": 1.0}, 0.25 if row == 6 else 0.0)
 
 
@@ -119,7 +119,7 @@ def arm_point(s: float, angle: float, radius: float) -> Floats:
 
 # distance along the arm on top and below, radius across the arm and towards the front, group of the quads that follow
 _SLEEVE = (
-    (0.022, 0.094, 0.0600, 0.0600, "sleeve"),
+    (0.016, 0.090, 0.0610, 0.0615, "sleeve"),
     (0.078, 0.122, 0.0575, 0.0590, "sleeve"),
     (0.136, 0.152, 0.0540, 0.0555, "sleeve"),
     (0.190, 0.196, 0.0515, 0.0530, "sleeve"),
@@ -132,20 +132,19 @@ _SLEEVE = (
     (0.455, 0.455, 0.0370, 0.0390, "rib"),
     (0.467, 0.467, 0.0362, 0.0386, "stripe"),
     (0.482, 0.482, 0.0362, 0.0386, "rib"),
-    (0.497, 0.497, 0.0358, 0.0382, "rib"),
-    (0.496, 0.496, 0.0295, 0.0320, "rib"),
-    (0.455, 0.455, 0.0285, 0.0305, ""),
+    (0.497, 0.497, 0.0352, 0.0376, "rib"),
+    (0.470, 0.470, 0.0285, 0.0305, ""),
 )  # fmt: skip
 
 
 def arm_weights(s: float) -> dict[str, float]:
-    """Weights along the free arm: twist joints shed the twist towards the shoulder and gather it towards the wrist."""
+    """Weights along the free arm: the twist joints take over towards the elbow and towards the wrist."""
     elbow = 0.262
     bend = float(np.clip((s - elbow) / 0.085 + 0.5, 0, 1))
     bend = bend * bend * (3 - 2 * bend)
-    shed = float(np.clip(1 - (s - 0.02) / 0.19, 0, 1))
+    shed = float(np.clip(1 - (s - 0.03) / 0.19, 0, 1))
     gather = float(np.clip((s - 0.30) / 0.165, 0, 1))
-    upper = {"LeftArmTwist": shed, "LeftArm": 1 - shed}
+    upper = {"LeftArm": shed, "LeftArmTwist": 1 - shed}
     lower = {"LeftForeArm": 1 - gather, "LeftForeArmTwist": gather}
     hand = float(np.clip((s - 0.475) / 0.05, 0, 1))
     return _mix(_mix(upper, lower, bend), {"LeftHand": 1.0}, hand)
@@ -154,7 +153,7 @@ def arm_weights(s: float) -> dict[str, float]:
 def _sleeve(cage: Cage, hole: Sequence[int]) -> None:
     previous = list(hole)
     angles = np.arange(12) * np.pi / 6
-    group = "sleeve"
+    group = "body"  # the seam lies on the first regular loop, where it runs smoothly
     for number, (top, below, across, front, following) in enumerate(_SLEEVE):
         lean = (1 - np.cos(angles)) / 2
         along = top + (below - top) * lean
@@ -185,7 +184,7 @@ def jacket() -> Cage:
             rows.append(cage.ring(points, each))
         else:
             rows.append(cage.ring(points, weights))
-    for number, (low, high) in enumerate(zip(rows, rows[1:], strict=False)):
+    for number, (low, high) in enumerate(pairwise(rows)):
         group = "stripe" if number == _STRIPE_ROW else "rib" if number < _RIB_ROWS else "body"
         cage.bridge(low, high, group, closed=False)
     trunk_top = np.array([cage.points[i] for i in rows[-1]])
@@ -207,7 +206,7 @@ def jacket() -> Cage:
             ]
         )
     cage.bridge(rows[-1], yoke[0], "body", closed=False)
-    for row, (low, high) in enumerate(zip(yoke, yoke[1:], strict=False)):
+    for row, (low, high) in enumerate(pairwise(yoke)):
         for k in range(8):
             if row < 4 and k in (3, 4):
                 continue  # the armhole
@@ -243,7 +242,10 @@ def shirt() -> Cage:
     """What shows of the shirt inside the collar: group "shirt"."""
     cage = Cage()
     previous: list[int] = []
-    rows = [(_NECKLINE - (0, 0, -0.016)) * (share, 1, share) + (0, lift, -0.016) for share, lift in ((0.86, -0.012), (0.83, 0.001))]
+    rows = [
+        (_NECKLINE - (0, 0, -0.016)) * (share, 1, share) + (0, lift, -0.016)
+        for share, lift in ((0.86, -0.012), (0.83, 0.001))
+    ]
     for radius, lift in ((0.0530, 0.009), (0.0500, 0.0085), (0.0450, -0.008)):
         ring = np.stack([radius * np.sin(_HALF), 0 * _HALF, radius * 1.03 * np.cos(_HALF) - 0.033], 1)
         ring[[0, 8], 0] = 0.0
@@ -261,8 +263,7 @@ def shirt() -> Cage:
 # --- trousers --------------------------------------------------------------------------------------------------------
 
 _WAIST = (  # height, half width, front, back, weight of the thigh at front, side, back
-    (1.000, 0.126, 0.088, 0.094, 0.00, 0.00, 0.00),
-    (0.960, 0.140, 0.096, 0.104, 0.00, 0.00, 0.00),
+    (0.975, 0.134, 0.093, 0.100, 0.00, 0.00, 0.00),
     (0.918, 0.153, 0.098, 0.113, 0.06, 0.08, 0.06),
     (0.876, 0.161, 0.094, 0.118, 0.26, 0.30, 0.24),
 )
@@ -298,7 +299,7 @@ def _leg_weights(y: float) -> dict[str, float]:
     knee = float(np.clip((0.486 - y) / 0.11 + 0.5, 0, 1))
     knee = knee * knee * (3 - 2 * knee)
     shed = float(np.clip((y - 0.60) / 0.22, 0, 1))
-    thigh = {"LeftUpLegTwist": shed, "LeftUpLeg": 1 - shed}
+    thigh = {"LeftUpLeg": shed, "LeftUpLegTwist": 1 - shed}
     return _mix(thigh, {"LeftLeg": 1.0}, knee)
 
 
@@ -311,22 +312,27 @@ def trousers() -> Cage:
         ends = np.where(np.cos(_HALF) > 0, at_front, at_back) * np.clip(np.abs(np.sin(_HALF)) * 2, 0.3, 1)
         thigh = ends + (at_side - ends) * around
         trunk = _spine(y)
-        each = [_mix(trunk, {"LeftUpLegTwist": 1.0}, float(t)) for t in thigh]
+        each = [_mix(trunk, {"LeftUpLeg": 1.0}, float(t)) for t in thigh]
         rows.append(cage.ring(_half_ring(y, width, front, back), each))
-    middle = {"Hips": 0.7, "LeftUpLegTwist": 0.15, "RightUpLegTwist": 0.15}
+    middle = {"Hips": 0.7, "LeftUpLeg": 0.15, "RightUpLeg": 0.15}
     shares = (0.0, 0.52, 0.62, 0.66, 0.66, 0.62, 0.52, 0.42, 0.0)
-    seat_weights = [middle if k in (0, 8) else _mix({"Hips": 1}, {"LeftUpLegTwist": 1}, u) for k, u in enumerate(shares)]
+    seat_weights = [middle if k in (0, 8) else _mix({"Hips": 1}, {"LeftUpLeg": 1}, u) for k, u in enumerate(shares)]
     seat = cage.ring(_SEAT, seat_weights)
     rows.append(seat)
     for low, high in zip(rows[1:], rows, strict=False):
         cage.bridge(low, high, "trousers", closed=False)
-    crotch = cage.ring(_CROTCH, {"Hips": 0.6, "LeftUpLegTwist": 0.2, "RightUpLegTwist": 0.2})
+    crotch = cage.ring(_CROTCH, {"Hips": 0.6, "LeftUpLeg": 0.2, "RightUpLeg": 0.2})
     previous = [*seat, *crotch]
     places = rest_positions()
     hip, knee, ankle = places["LeftUpLeg"], places["LeftLeg"], places["LeftFoot"]
     angles = np.pi / 2 + (np.arange(12) - 4) * np.pi / 6
     for number, (y, across, deep, shift) in enumerate(_LEG_ROWS):
-        centre = np.array([np.interp(y, [p[i] for p in ()] or [ankle[1], knee[1], hip[1]], [ankle[i], knee[i], hip[i]]) for i in range(3)])
+        centre = np.array(
+            [
+                np.interp(y, [p[i] for p in ()] or [ankle[1], knee[1], hip[1]], [ankle[i], knee[i], hip[i]])
+                for i in range(3)
+            ]
+        )
         centre[1] = y
         centre[2] += shift
         points = np.stack([across * np.sin(angles), np.zeros(12), deep * np.cos(angles)], 1) + centre

@@ -63,7 +63,7 @@ def _outward(points: Floats, triangles: Ints) -> Ints:
 
 def zip_fastener(jacket: Surface) -> list[Detail]:
     """The zip down the front, with its slider."""
-    y = np.linspace(0.929, 1.364, 36)
+    y = np.linspace(0.929, 1.364, 32)
     path = np.stack([0 * y, y, 0 * y], 1)
     band = _swept(jacket, path, 2, ((-0.0050, -0.0020), (-0.0040, 0.0018), (0.0040, 0.0018), (0.0050, -0.0020)), 0)
     y = np.linspace(1.326, 1.352, 5)
@@ -100,12 +100,12 @@ def laces(shoes: Surface) -> list[Detail]:
     made: list[Detail] = []
     for number, forward in enumerate((0.066, 0.085, 0.104, 0.123)):
         half = 0.0155 - 0.0008 * number
-        x = np.linspace(-half, half, 7)
+        x = np.linspace(-half, half, 5)
         turn = np.deg2rad(5.0)
         z = ankle[2] + 0.022 + forward
         path = np.stack(
             [ankle[0] + (forward + 0.02) * np.sin(turn) + x * np.cos(turn) - 0.002, 0 * x, z - x * np.sin(turn)], 1
         )
-        section = ((-0.0036, -0.001), (-0.0030, 0.0022), (0.0, 0.0034), (0.0030, 0.0022), (0.0036, -0.001))
+        section = ((-0.0036, -0.001), (-0.0028, 0.0024), (0.0028, 0.0024), (0.0036, -0.001))
         made.append(_swept(one, path, 1, section, 2))
     return made

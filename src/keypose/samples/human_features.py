@@ -62,9 +62,9 @@ def mirrored_piece(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 def eyeball(side: int) -> Piece:
     """An eyeball with pupil, iris and limbal ring as colours on its own loops; it looks along +Z."""
-    around = 26
-    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 46.0, 60.0, 80.0, 120.0])
-    colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 5]
+    around = 24
+    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 48.0, 66.0, 110.0])
+    colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 4]
     polar = np.deg2rad(degrees)[:, None]
     azimuth = (np.arange(around) * 2 * np.pi / around)[None, :]
     unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
@@ -108,7 +108,7 @@ def catchlight(side: int) -> Piece:
         right = np.cross([0.0, 1.0, 0.0], forward)
         right /= np.linalg.norm(right)
         up = np.cross(forward, right)
-        a = np.arange(10) * np.pi / 5
+        a = np.arange(8) * np.pi / 4
         circle = np.cos(a)[:, None] * right + np.sin(a)[:, None] * up
         rings = [
             forward * EYE_RADIUS * 0.985 + circle * radius,
@@ -127,10 +127,10 @@ def catchlight(side: int) -> Piece:
 
 def teeth(upper: bool) -> Piece:
     """A row of teeth: one closed arch with a soft notch between teeth."""
-    steps = 33
+    steps = 25
     u = np.linspace(-1, 1, steps)
-    half, depth = (0.0235, 0.024) if upper else (0.0220, 0.023)
-    front = 0.0872 if upper else 0.0832
+    half, depth = (0.0245, 0.0135) if upper else (0.0230, 0.0130)
+    front = 0.0985 if upper else 0.0950
     angle = u * np.deg2rad(82)
     x = half * np.sin(angle) / np.sin(np.deg2rad(82))
     z = front - depth * (1 - np.cos(angle))
@@ -162,8 +162,10 @@ def teeth(upper: bool) -> Piece:
 def tongue() -> Piece:
     """A soft tongue resting behind the lower teeth; its tip is at the front."""
     u = np.linspace(0.0, 1.0, 10)
-    z = 0.030 + 0.047 * u
-    half = 0.0145 * smoothstep(-0.35, 0.3, u) * np.sqrt(np.clip(1 - np.clip((u - 0.55) / 0.47, 0, 1) ** 2, 0, 1)) + 0.0004
+    z = 0.036 + 0.051 * u
+    half = (
+        0.0145 * smoothstep(-0.35, 0.3, u) * np.sqrt(np.clip(1 - np.clip((u - 0.55) / 0.47, 0, 1) ** 2, 0, 1)) + 0.0004
+    )
     thick = 0.0052 * np.sqrt(np.clip(1 - np.clip((u - 0.6) / 0.42, 0, 1) ** 2, 0, 1)) + 0.0003
     a = np.arange(10) * 2 * np.pi / 10
     rings = np.empty((len(u), 10, 3))

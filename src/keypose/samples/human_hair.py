@@ -59,7 +59,7 @@ def _curve(points: Floats, steps: int) -> Floats:
 
 def cap() -> tuple[Floats, Ints]:
     """The hair close to the skull; its border sinks into the skin along the hairline."""
-    around, deep = 40, 8
+    around, deep = 44, 7
     azimuth = np.linspace(-np.pi, np.pi, around, endpoint=False)
     line = np.array(_HAIRLINE, float)
     at = np.concatenate([-line[:0:-1, 0], line[:-1, 0], 360 - line[::-1, 0]])
@@ -71,9 +71,7 @@ def cap() -> tuple[Floats, Ints]:
     height = 0.0015 + 0.0120 * np.sqrt(smoothstep(1.04, 0.72, share))
     share, height = np.append(share, 0.985), np.append(height, -0.006)  # the border is turned in under itself
     elevation = np.pi / 2 - (np.pi / 2 - low)[None, :] * share[:, None]
-    points = scalp(
-        np.tile(azimuth, (deep + 1, 1)), elevation, np.repeat(height[:, None], around, 1), _CENTRE
-    )
+    points = scalp(np.tile(azimuth, (deep + 1, 1)), elevation, np.repeat(height[:, None], around, 1), _CENTRE)
     top = scalp(np.zeros(1), np.full(1, np.pi / 2), height[:1], _CENTRE)
     flat, triangles = tube(points[::-1])
     flat[-1] = top[0]
@@ -82,7 +80,7 @@ def cap() -> tuple[Floats, Ints]:
 
 def locks() -> list[tuple[Floats, Ints]]:
     """One closed tapered body per lock."""
-    steps, around = 9, 6
+    steps, around = 10, 6
     u = np.linspace(0, 1, steps)
     controls = np.array([c for c, _, _ in _LOCKS], float)
     controls[..., 0] = np.rad2deg(np.unwrap(np.deg2rad(controls[..., 0]), axis=1))
@@ -109,12 +107,11 @@ def locks() -> list[tuple[Floats, Ints]]:
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         normal = np.cross(across, along)
         profile = np.sqrt(smoothstep(-0.05, 0.30, u)) * np.clip(1 - u, 0, 1) ** 0.55
-        profile = profile / profile.max() * (1 - 0.0 * u)
+        profile = profile / profile.max()
         profile = np.maximum(profile, 0.04)
-        ridge = 1 + 0.0 * np.cos(2 * a)
         rings = (
             path[:, None]
-            + across[:, None] * (1e-3 * wide * profile[:, None] * np.cos(a) * ridge)[..., None]
+            + across[:, None] * (1e-3 * wide * profile[:, None] * np.cos(a))[..., None]
             + normal[:, None] * (1e-3 * thick * profile[:, None] * np.sin(a))[..., None]
         )
         bend = -1e-3 * 0.30 * wide * (np.cos(a) ** 2)[None, :] * profile[:, None]  # wraps round the skull

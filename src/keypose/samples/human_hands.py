@@ -7,6 +7,7 @@ the wrist.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def _finger_rings(finger: str, skip_base: bool) -> list[tuple[Floats, Floats, fl
     one, two, three = (f"LeftHand{finger}{n}" for n in (1, 2, 3))
     d1, d2, d3 = ((v / np.linalg.norm(v)) for v in (b - a, c - b, tip - c))
     radius = _RADII[finger]
-    n1, n2, n3 = (float(np.linalg.norm(v)) for v in (b - a, c - b, tip - c))
+    n1, n3 = float(np.linalg.norm(b - a)), float(np.linalg.norm(tip - c))
     rings = [
         (a + d1 * n1 * 0.52, d1, radius * 1.02, {one: 1.0}),
         (b - d1 * 0.0065, (d1 * 2 + d2) / 3, radius * 1.03, {one: 0.86, two: 0.14}),
@@ -77,10 +78,7 @@ def _loop(centre: Floats, direction: Floats, radius: float, side: Floats) -> Flo
     palm = np.cross(side, -direction)
     diagonal = radius * 0.7071
     return np.array(
-        [
-            centre + diagonal * (side * s + palm * o)
-            for s, o in ((1.0, -1.02), (-1.0, -1.02), (-1.0, 0.98), (1.0, 0.98))
-        ]
+        [centre + diagonal * (side * s + palm * o) for s, o in ((1.0, -1.02), (-1.0, -1.02), (-1.0, 0.98), (1.0, 0.98))]
     )
 
 
@@ -120,7 +118,7 @@ def hands() -> Cage:
         sections.append(cage.ring([_model(q) for q in points], weights))
     cage.face(sections[0], "skin")
     thumb_at = (2, 9)  # the quad of the thumb's side between sections 2 and 3
-    for number, (near, far) in enumerate(zip(sections, sections[1:], strict=False)):
+    for number, (near, far) in enumerate(pairwise(sections)):
         for k in range(10):
             if (number, k) == thumb_at:
                 continue

@@ -9,6 +9,7 @@ The mouth is triangulated a little open and then closed. Only the left half is b
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +150,11 @@ def _loops() -> tuple[Floats, Floats, Ints, Ints, Floats]:
         x[[0, -1]] = 0.0
         p = on_face(x, y)
         p[:, 2] += ahead
-        gap = 0.0055 * np.sign(np.round(np.sin(half), 9)) * np.clip(np.cos(np.pi / 2 * np.minimum(x / MOUTH_HALF, 1)), 0, 1) ** 0.7
+        gap = (
+            0.0055
+            * np.sign(np.round(np.sin(half), 9))
+            * np.clip(np.cos(np.pi / 2 * np.minimum(x / MOUTH_HALF, 1)), 0, 1) ** 0.7
+        )
         opened = on_face(x, y + gap * (1.0, 0.95, 0.85, 0.6, 0.3)[ring])
         opened[[0, -1], 0] = 0.0
         places.append(p)
@@ -181,7 +186,9 @@ def _grid(loops: Floats) -> Floats:
         a = np.array(azimuth) * np.pi / azimuth[-1]
         if number % 2:
             a = np.concatenate([[0.0], (a[1:] + a[:-1]) / 2, [np.pi]])
-        d = np.stack([np.sin(a) * np.cos(elevation), np.full(len(a), np.sin(elevation)), np.cos(a) * np.cos(elevation)], 1)
+        d = np.stack(
+            [np.sin(a) * np.cos(elevation), np.full(len(a), np.sin(elevation)), np.cos(a) * np.cos(elevation)], 1
+        )
         d[[0, -1], 0] = 0.0
         candidates.append(cast(head_field, np.tile(CENTRE, (len(d), 1)), d, 0.24))
     candidates.append(cast(head_field, CENTRE[None], np.array([[0.0, 1.0, 0.0]]), 0.24))
@@ -212,7 +219,7 @@ def _directions(points: Floats) -> Floats:
     return d / np.linalg.norm(d, axis=-1, keepdims=True)
 
 
-def _inside_loops(points: Floats) -> Ints:
+def _inside_loops(points: Floats) -> Any:
     """Whether a point lies within the outermost ring of the eye or the mouth (front half only)."""
     front = points[:, 2] > 0.03
     x, y = points[:, 0] - _EX, points[:, 1] - _EY
@@ -286,7 +293,9 @@ def _inner_rims(
     unit = rim / np.linalg.norm(rim, axis=1, keepdims=True)
     spread = unit * (1, 1, 0)
     spread = spread / np.linalg.norm(spread, axis=1, keepdims=True)
-    for ring, (radius, outward) in enumerate(((EYE_RADIUS + 0.0004, 0.0), (EYE_RADIUS + 0.0002, 0.35), (EYE_RADIUS - 0.0015, 0.9))):
+    for ring, (radius, outward) in enumerate(
+        ((EYE_RADIUS + 0.0004, 0.0), (EYE_RADIUS + 0.0002, 0.35), (EYE_RADIUS - 0.0015, 0.9))
+    ):
         d = unit + outward * spread
         d = d / np.linalg.norm(d, axis=1, keepdims=True)
         ids = np.arange(count, count + EYE_AROUND)
@@ -306,7 +315,13 @@ def _inner_rims(
     s = np.sin(around)
     s = np.sign(np.round(s, 9)) * np.abs(s) ** 0.7
     for ring, (back, height, narrow) in enumerate(
-        ((0.0030, 0.0022, 0.99), (0.0046, 0.0110, 1.00), (0.0160, 0.0160, 1.13), (0.0400, 0.0150, 1.00), (0.0560, 0.0060, 0.30))
+        (
+            (0.0030, 0.0022, 0.99),
+            (0.0046, 0.0110, 1.00),
+            (0.0160, 0.0160, 1.13),
+            (0.0400, 0.0150, 1.00),
+            (0.0560, 0.0060, 0.30),
+        )
     ):
         p = rim.copy()
         p[:, 0] *= narrow
@@ -365,4 +380,8 @@ def _mirror(points: Floats, faces: Ints, eye: Ints, mouth: Ints, angle: Floats, 
 def blush(p: Floats) -> Floats:
     """How rosy the skin is: cheeks, tip of the nose."""
     q = np.stack([np.abs(p[:, 0]), p[:, 1], p[:, 2]], 1)
-    return np.clip(bump(q, (0.052, 1.497, 0.075), (0.033, 0.026, 0.05)) + 0.7 * bump(q, (0, 1.505, 0.125), (0.018, 0.016, 0.02)), 0, 1)
+    return np.clip(
+        bump(q, (0.052, 1.497, 0.075), (0.033, 0.026, 0.05)) + 0.7 * bump(q, (0, 1.505, 0.125), (0.018, 0.016, 0.02)),
+        0,
+        1,
+    )

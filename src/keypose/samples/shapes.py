@@ -58,5 +58,8 @@ def cast(field: Field, origins: Floats, directions: Floats, reach: float, steps:
     """Where rays from outside first meet the surface: (N, 3); the rays start ``reach`` away and come in."""
     t = np.full(len(origins), reach)
     for _ in range(steps):
-        t = t - 0.85 * field(origins + t[:, None] * directions)
+        distance = field(origins + t[:, None] * directions)
+        t = t - 0.85 * distance
+        if np.max(np.abs(distance)) < 1e-7:
+            break
     return origins + t[:, None] * directions

@@ -4,6 +4,10 @@ The rest pose is a relaxed A-pose: arms 45 degrees below the horizontal, palms t
 feet on y = 0, facing +Z; the character's left is +X. **Every rest rotation is the identity**, so a joint's local
 axes are the model's axes, and a local rotation reads as "turn about this model axis, as seen in the rest pose".
 `bend_axis` gives the axis that a positive angle bends the joint about.
+
+The twist joints (``LeftArmTwist``, ``LeftForeArmTwist``, ``LeftUpLegTwist``) are side branches that turn about the bone:
+the skin near the far end of the bone follows them, so a wrist's roll shared out to the forearm's twist joint does not
+wring the sleeve. Left alone, they change nothing.
 """
 
 from __future__ import annotations
@@ -113,14 +117,10 @@ def _left_side() -> list[tuple[str, str, tuple[float, ...]]]:
 
 
 def _finger_tips() -> dict[str, tuple[float, ...]]:
-    along, thumb, palm = hand_axes()
+    """Tips of the fingers, relative to their last joints."""
+    axes = np.stack(hand_axes())
     return {
-        f"LeftHand{finger}3": tuple(
-            sum(
-                (places[3][i] - places[2][i]) * axis for i, axis in enumerate((along, thumb, palm))
-            )  # relative to the last joint
-        )
-        for finger, places in _FINGERS.items()
+        f"LeftHand{finger}3": tuple((np.array(places[3]) - places[2]) @ axes) for finger, places in _FINGERS.items()
     }
 
 
