@@ -43,7 +43,7 @@ export function shortcuts(window: WindowCommands): Shortcut[] {
     look("6", "Side", () => studio.view.frameAll("side")),
     look("7", "Top", () => studio.view.frameAll("top")),
     look("8", "Three-quarter", () => studio.view.frameAll("three-quarter")),
-    look("R", "Follow the root", () => studio.show("follow")),
+    look("R", "Follow the root", () => studio.toggleFollow()),
     look("Escape", "Select nothing", () => studio.select(-1)),
     show("B", "Bones", () => studio.show("bones")),
     show("A", "Joint axes", () => studio.show("axes")),

@@ -2,6 +2,7 @@
 
 import { SvelteMap } from "svelte/reactivity";
 import type { Animation } from "./anim/animation";
+import { sameRest } from "./anim/matching";
 import { LOOP_MODES, SPEEDS, type LoopMode } from "./anim/clock";
 import type { SceneEntry, ServerMessage } from "./generated/messages";
 import { PROTOCOL } from "./generated/messages";
@@ -173,10 +174,9 @@ export class Studio {
     for (const actor of file.actors) {
       const own = file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= OFFERED);
       const borrowed = actor.hasMesh
-        ? this.animations.find((a) => this.isPerformance(a) && a.sceneId !== file.id && a.match(actor.rig, actor.morphNames) >= APPLIED)
+        ? this.animations.find((a) => a.sceneId !== file.id && this.fits(a, actor))
         : undefined;
       this.give(actor, borrowed ?? own ?? null);
-      if (actor.animation) actor.measureAt(actor.animation.start);
       this.view.add(actor);
     }
     if (file.actors.length > 0 && !file.hasMesh) this.lend(file);
@@ -188,16 +188,21 @@ export class Studio {
     if (file.actors.length === 0) this.toast("info", `${file.name} holds nothing to show`, "It has no character and no skeleton.");
   }
 
-  /** An animation of a file that has a skeleton and no mesh: a performance for others. */
-  private isPerformance(animation: Animation): boolean {
-    return this.files.find((file) => file.id === animation.sceneId)?.hasMesh === false;
+  /**
+   * Whether an animation of a file without a mesh is meant for a character: it has the joints by name, and the two rest
+   * poses agree, so that it looks right without retargeting. What does not fit is still offered in the list of clips.
+   */
+  private fits(animation: Animation, actor: Actor): boolean {
+    const file = this.files.find((f) => f.id === animation.sceneId);
+    const source = file && !file.hasMesh ? file.actors[0] : undefined;
+    return source !== undefined && animation.match(actor.rig, actor.morphNames) >= APPLIED && sameRest(source.rig, actor.rig);
   }
 
-  /** A new performance goes to every character that has its joints. */
+  /** A new performance goes to every character that it fits. */
   private lend(file: OpenFile): void {
     for (const actor of this.actors) {
       if (!actor.hasMesh || actor.sceneId === file.id) continue;
-      const animation = file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= APPLIED);
+      const animation = file.animations.find((a) => this.fits(a, actor));
       if (animation) this.perform(actor, animation);
     }
   }
@@ -244,11 +249,13 @@ export class Studio {
 
   private give(actor: Actor, animation: Animation | null): void {
     actor.setAnimation(animation);
+    actor.measureAt(animation?.start ?? 0);
     this.performing = { ...this.performing, [actor.id]: animation?.id ?? null };
   }
 
   perform(actor: Actor, animation: Animation | null): void {
     this.give(actor, animation);
+    this.view.arrange();
     this.view.applyDisplay();
     if (actor.id === this.activeId) this.takePace(true);
   }
@@ -261,6 +268,14 @@ export class Studio {
     if (restart || !animation || clock.time < animation.start || clock.time > animation.end) clock.time = animation?.start ?? 0;
     this.setRange(animation?.start ?? 0, animation?.end ?? 0);
     this.view.invalidatePose();
+    // until the user decides, the camera follows who walks away
+    if (!this.followChosen && this.active) this.show("follow", this.active.travel() > 0.6 * this.active.height);
+  }
+  private followChosen = false;
+
+  toggleFollow(): void {
+    this.followChosen = true;
+    this.show("follow");
   }
 
   stepClip(direction: number): void {

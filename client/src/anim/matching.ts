@@ -1,5 +1,7 @@
 // Which joint of an animation drives which joint of a skeleton: the rule of keypose.evaluate.match_report.
 
+import type { Rig } from "./rig";
+
 /** Own name -> name in the animation: exact first, then in other case, then without a namespace. */
 export function matchNames(theirs: Iterable<string>, own: string[]): Map<string, string> {
   const animated = [...new Set(theirs)];
@@ -22,4 +24,18 @@ function unique(names: string[], fold: (name: string) => string): Map<string, st
   const found = new Map<string, string[]>();
   for (const name of names) found.set(fold(name), [...(found.get(fold(name)) ?? []), name]);
   return new Map([...found].filter(([, group]) => group.length === 1).map(([key, group]) => [key, group[0]]));
+}
+
+/** Whether two skeletons that share names also share the directions of their bones at rest. */
+export function sameRest(a: Rig, b: Rig): boolean {
+  let agree = 0, count = 0;
+  for (const [own, other] of matchNames(a.names, b.names)) {
+    const i = 3 * b.index(own), j = 3 * a.index(other);
+    const [x, y, z] = b.rest.translations.subarray(i, i + 3), [u, v, w] = a.rest.translations.subarray(j, j + 3);
+    const lengths = Math.hypot(x, y, z) * Math.hypot(u, v, w);
+    if (b.parents[b.index(own)] < 0 || lengths < 1e-8) continue;
+    count++;
+    if ((x * u + y * v + z * w) / lengths > 0.95) agree++;
+  }
+  return count > 0 && agree >= 0.8 * count;
 }

@@ -74,18 +74,18 @@ function ruler(c: CanvasRenderingContext2D, width: number, height: number, color
   const perFrame = (toX(animation.end) - toX(animation.start)) / frames;
   const label = STEPS.find((s) => s * perFrame >= 54) ?? STEPS.at(-1)!;
   const tick = STEPS.find((s) => s * perFrame >= 7 && label % s === 0) ?? label;
-  c.textAlign = "center";
+  c.textAlign = "left";
   for (let frame = 0; frame <= frames; frame += tick) {
     const x = Math.round(toX(animation.start + frame / animation.rate)) + 0.5;
     const major = frame % label === 0;
     c.strokeStyle = major ? colors.strong : colors.line;
     c.beginPath();
-    c.moveTo(x, major ? RULER - 1 : RULER + 2);
+    c.moveTo(x, major ? 4 : RULER + 2);
     c.lineTo(x, major ? height : RULER + 6);
     c.stroke();
-    if (major && x > 10 && x < width - 10) {
+    if (major && x < width - 30) {
       c.fillStyle = colors.faint;
-      c.fillText(String(frame), x, 10.5);
+      c.fillText(String(frame), x + 3.5, 10.5);
     }
   }
 }
@@ -94,14 +94,16 @@ function keys(c: CanvasRenderingContext2D, height: number, colors: TimelineColor
   if (!rig) return;
   const y = RULER + (height - RULER) / 2 + 1;
   const times = animation.keyTimes(rig, joint);
-  const dense = times.length > 1 && (toX(times[times.length - 1]) - toX(times[0])) / (times.length - 1) < 5;
+  // a motion has a sample at every frame: ticks, not keys that someone set
+  const dense =
+    animation.kind === "motion" || (times.length > 1 && (toX(times[times.length - 1]) - toX(times[0])) / (times.length - 1) < 5);
   c.fillStyle = joint === null ? colors.faint : colors.muted;
   let last = -10;
   for (let n = 0; n < times.length; n++) {
     const x = toX(times[n]);
     if (dense) {
       if (x - last < 2) continue;
-      c.fillRect(Math.round(x), y - 4, 1, 8);
+      c.fillRect(Math.round(x), y - 3, 1, 6);
     } else {
       c.beginPath();
       c.moveTo(x, y - 4);

@@ -103,8 +103,8 @@ export class Actor {
   }
 
   /** A joint in the character's own space. */
-  jointPosition(joint: number, out: THREE.Vector3): THREE.Vector3 {
-    const { world } = this.rig, o = 12 * joint;
+  jointPosition(joint: number, out: THREE.Vector3, world: Float64Array = this.rig.world): THREE.Vector3 {
+    const o = 12 * joint;
     return out.set(world[o + 9], world[o + 10], world[o + 11]);
   }
 
@@ -120,6 +120,20 @@ export class Actor {
     const overrides = this.morphOverrides;
     for (let m = 0; m < overrides.length; m++) if (overrides[m] === overrides[m]) pose.morphs[m] = overrides[m];
     this.rig.solve(pose, world);
+  }
+
+  /** How far the root wanders over the current animation, in metres. */
+  travel(): number {
+    const { animation } = this;
+    if (!animation) return 0;
+    const box = new THREE.Box2(), point = new THREE.Vector3(), flat = new THREE.Vector2();
+    const pose = new Pose(this.rig.count, this.morphNames.length), world = new Float64Array(12 * this.rig.count);
+    for (let n = 0; n <= 16; n++) {
+      this.evaluate(animation.start + (n / 16) * animation.duration, pose, world);
+      this.jointPosition(this.rootJoint, point, world);
+      box.expandByPoint(flat.set(point.x, point.z));
+    }
+    return box.getSize(flat).length();
   }
 
   /** Whether the current animation moves a morph channel. */

@@ -99,7 +99,7 @@ export class Viewport {
   }
 
   /** Side by side in the order of opening; a single character stays where its file puts it. */
-  private arrange(): void {
+  arrange(): void {
     const alone = this.actors.length === 1;
     const widths = this.actors.map((actor) => Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
     const gaps = this.actors.map((actor) => 0.18 * actor.height);
@@ -130,12 +130,7 @@ export class Viewport {
   }
 
   private fitStage(): void {
-    const box = this.box();
-    const size = Math.max(...box.getSize(new THREE.Vector3()).toArray());
-    const center = box.getCenter(new THREE.Vector3());
-    this.ground.fit(center, size);
-    this.lights.fit(center, size);
-    this.stageSize = size;
+    this.stageSize = Math.max(...this.box().getSize(new THREE.Vector3()).toArray());
   }
   private stageSize = 2;
 
@@ -190,11 +185,32 @@ export class Viewport {
 
   resize(width: number, height: number): void {
     if (width < 2 || height < 2) return;
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+    this.size = [width, height];
+    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio) * this.quality);
     this.renderer.setSize(width, height, false);
     this.orbit.resize(width, height);
     this.invalidate();
     this.draw(); // at once, so that the old picture is not stretched for a frame
+  }
+  private size: [number, number] = [0, 0];
+
+  /** Where the machine cannot keep up, moving pictures are drawn smaller; as soon as time stands, in full. */
+  private adapt(elapsed: number): void {
+    if (!this.clock.playing) {
+      if (this.quality < 1) this.setQuality(1);
+      this.slow = 0;
+      return;
+    }
+    this.slow = elapsed > 0.055 ? this.slow + 1 : Math.max(0, this.slow - 2);
+    if (this.slow > 10 && this.quality > 0.5) this.setQuality(this.quality - 0.25);
+  }
+  private quality = 1;
+  private slow = 0;
+
+  private setQuality(quality: number): void {
+    this.quality = quality;
+    this.slow = 0;
+    this.resize(...this.size);
   }
 
   // ---- the loop ----------------------------------------------------------------------------------------------------
@@ -238,6 +254,7 @@ export class Viewport {
       moved = clock.time !== before;
       if (!goes) this.onStop();
     }
+    this.adapt(elapsed);
     const posing = moved || !this.posed;
     if (posing) {
       this.pose();
@@ -267,8 +284,9 @@ export class Viewport {
 
   draw(): void {
     const { renderer, orbit } = this;
-    const box = this.shadowCenter();
-    this.lights.fit(box, this.stageSize);
+    const center = this.stageCenter();
+    this.lights.fit(center, this.stageSize);
+    this.ground.fit(center, this.stageSize);
     renderer.info.reset();
     renderer.clear();
     renderer.render(this.scene, orbit.camera);
@@ -278,10 +296,10 @@ export class Viewport {
     }
   }
 
-  /** Shadows follow what walks away. */
-  private readonly shadowPoint = new THREE.Vector3();
-  private shadowCenter(): THREE.Vector3 {
-    const center = this.shadowPoint.set(0, 0, 0);
+  /** Light and floor follow what walks away. */
+  private readonly centerPoint = new THREE.Vector3();
+  private stageCenter(): THREE.Vector3 {
+    const center = this.centerPoint.set(0, 0, 0);
     let count = 0;
     for (const actor of this.actors) {
       if (!actor.visible) continue;
@@ -354,6 +372,7 @@ export class Viewport {
   }
 
   screenshot(): Promise<Blob> {
+    if (this.quality < 1) this.setQuality(1);
     this.draw();
     return new Promise((resolve, reject) =>
       this.canvas.toBlob((blob) => (blob ? resolve(blob) : reject(new Error("the picture could not be made"))), "image/png"),
