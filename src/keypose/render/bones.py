@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -250,7 +251,7 @@ def _octahedron(direction: Floats, length: float, girth: float) -> tuple[Floats,
         for sx, sz in ((1, 1), (-1, 1), (-1, -1), (1, -1))
     ]
     tail = direction * length
-    faces: list[list[Floats]] = []
+    faces: list[Any] = []
     for i in range(4):
         a, b = ring[i], ring[(i + 1) % 4]
         faces += [[np.zeros(3), b, a], [tail, a, b]]

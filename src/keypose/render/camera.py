@@ -11,7 +11,7 @@ from keypose.render.settings import Camera
 from keypose.render.stage import Stage
 
 SHADOW_SIZE = 1024  # texels along one side of the key light's depth map
-_FOLLOW_TRAVEL = 1.6  # subject sizes of travel from which the camera follows by itself
+_FOLLOW_TRAVEL = 0.9  # subject sizes of travel from which the camera follows by itself
 _FOLLOW_SMOOTHING_S = 0.35
 _KEY_AZIMUTH_DEG, _KEY_ELEVATION_DEG = -38.0, 50.0  # of the key light, seen from the camera: from upper left
 _FILL_AZIMUTH_DEG, _FILL_ELEVATION_DEG = 62.0, 18.0

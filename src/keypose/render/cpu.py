@@ -19,7 +19,7 @@ from keypose.arrays import Floats, Ints
 from keypose.render import raster, shade
 from keypose.render.camera import SHADOW_SIZE, View
 from keypose.render.frame import CLIP_FROM_WORLD, LIGHT_FROM_WORLD, WORLD_FROM_LIGHT, pack_frame
-from keypose.render.settings import RenderSettings
+from keypose.render.settings import Picture, RenderSettings
 from keypose.render.stage import Moment, Stage
 from keypose.render.surfaces import Surface, surfaces
 
@@ -59,7 +59,7 @@ class CpuRenderer:
         self.soft = np.zeros((_MASK_SIZE // 2, _MASK_SIZE // 2, 2), np.float32)
         self.contact = np.zeros((_CONTACT_SIZE, _CONTACT_SIZE, 1), np.float32)
 
-    def draw(self, moment: Moment, view: View) -> Floats:
+    def draw(self, moment: Moment, view: View) -> Picture:
         """One picture, (H, W, 4) uint8, straight alpha."""
         settings = self.settings
         width, height = settings.width, settings.height
@@ -288,12 +288,12 @@ class _Mips:
     """Textures with their smaller and smaller versions, in one array."""
 
     def __init__(self) -> None:
-        self.texels: list[Floats] = []
+        self.texels: list[Picture] = []
         self.levels: list[tuple[int, int, int]] = []
         self.known: dict[int, tuple[int, int]] = {}
         self.size = 0
 
-    def add(self, pixels: Floats | None) -> tuple[int, int]:
+    def add(self, pixels: Picture | None) -> tuple[int, int]:
         """First level and number of levels of a texture (H, W, 4) uint8; -1 and 0 for none."""
         if pixels is None:
             return -1, 0
@@ -313,7 +313,7 @@ class _Mips:
             self.known[id(pixels)] = (first, len(self.levels) - first)
         return self.known[id(pixels)]
 
-    def arrays(self) -> tuple[Floats, Ints]:
+    def arrays(self) -> tuple[Picture, Ints]:
         """All texels (N, 4) uint8, and offset, width, height of every level."""
         if not self.levels:
             return np.zeros((1, 4), np.uint8), np.zeros((1, 3), np.int64)
@@ -362,7 +362,7 @@ def _gaussian(taps: int, sigma: float) -> Floats:
     return weights / (weights[0] + 2 * weights[1:].sum())
 
 
-def _straight(picture: Floats) -> Floats:
+def _straight(picture: Picture) -> Picture:
     alpha = picture[..., 3:].astype(np.float32)
     colors = picture[..., :3] * (255 / np.maximum(alpha, 1))
     return np.concatenate([np.clip(np.rint(colors), 0, 255), alpha], axis=-1).astype(np.uint8)

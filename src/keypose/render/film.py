@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Floats
 from keypose.errors import FormatError, MissingExtra
+from keypose.render.settings import Picture
 
 # encoders in order of preference, by suffix
 _ENCODERS = {".mp4": ("libx264", "libopenh264"), ".webm": ("libvpx-vp9", "libsvtav1", "libaom-av1"), ".gif": ("gif",)}
@@ -55,7 +55,7 @@ class Film:
         height: int,
         rate_hz: float,
         quality: int = 75,
-        samples: Sequence[Floats] = (),
+        samples: Sequence[Picture] = (),
     ) -> None:
         self._av = _av()
         suffix = path.suffix.lower()
@@ -77,7 +77,7 @@ class Film:
             context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 1
         self._count = 0
         self._error: BaseException | None = None
-        self._waiting: queue.Queue[Floats | None] = queue.Queue(_QUEUE)
+        self._waiting: queue.Queue[Picture | None] = queue.Queue(_QUEUE)
         self._thread = threading.Thread(target=self._work, name="film encoder", daemon=True)
         self._thread.start()
 
@@ -96,7 +96,7 @@ class Film:
         if error is None:
             self._check()
 
-    def add(self, picture: Floats) -> None:
+    def add(self, picture: Picture) -> None:
         """The next picture; it must not be changed afterwards."""
         self._check()
         self._waiting.put(picture)
@@ -119,7 +119,7 @@ class Film:
             except Exception as error:
                 self._error = error
 
-    def _encode(self, picture: Floats) -> None:
+    def _encode(self, picture: Picture) -> None:
         frame = _frame(self._av, picture)
         frame.pts, frame.time_base = self._count, 1 / self._rate
         self._count += 1
@@ -138,7 +138,7 @@ class Film:
 class _Palette:
     """The 255 colours that serve a whole GIF best, and their ordered dithering, which stands still in time."""
 
-    def __init__(self, av: Any, width: int, height: int, rate: Fraction, samples: Sequence[Floats]) -> None:
+    def __init__(self, av: Any, width: int, height: int, rate: Fraction, samples: Sequence[Picture]) -> None:
         self._av = av
         making = av.filter.Graph()
         source = making.add_buffer(width=width, height=height, format="rgba", time_base=1 / rate)
@@ -179,7 +179,7 @@ class _Palette:
         return graph
 
 
-def _frame(av: Any, picture: Floats) -> Any:
+def _frame(av: Any, picture: Picture) -> Any:
     if picture.shape[-1] == 3:
         picture = np.concatenate([picture, np.full((*picture.shape[:2], 1), 255, np.uint8)], axis=-1)
     return av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgba")
@@ -201,8 +201,8 @@ def _options(encoder: str, quality: int) -> dict[str, str]:
 def _av() -> Any:
     try:
         import av
-        import av.error
-        import av.filter
+        import av.error  # pyright: ignore[reportUnusedImport]
+        import av.filter  # pyright: ignore[reportUnusedImport]
     except ImportError:
         raise MissingExtra("writing films", "render") from None
     return av

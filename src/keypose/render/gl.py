@@ -19,7 +19,7 @@ from keypose.arrays import Floats
 from keypose.errors import KeyposeError, MissingExtra
 from keypose.render.camera import SHADOW_SIZE, View
 from keypose.render.frame import pack_frame
-from keypose.render.settings import RenderSettings
+from keypose.render.settings import Picture, RenderSettings
 from keypose.render.stage import Moment, Stage
 from keypose.render.surfaces import Surface, surfaces
 
@@ -48,7 +48,8 @@ def context() -> Any:
     except ImportError:
         raise MissingExtra("rendering with OpenGL", "render") from None
     reasons: list[str] = []
-    for options in ({"backend": "egl"}, {}):
+    choices: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
+    for options in choices:
         try:
             made = moderngl.create_context(require=330, standalone=True, **options)
         except Exception as reason:  # moderngl raises bare Exception, glcontext ImportError, ...
@@ -114,7 +115,7 @@ class _Mesh:
         looks = ctx.buffer(look)
         index = ctx.buffer(np.ascontiguousarray(mesh.triangles, np.int32))
         eight = surface.joints.shape[1] == 8
-        bound = [(self.rest, "3f 3f", "in_position", "in_normal")]
+        bound: list[tuple[Any, ...]] = [(self.rest, "3f 3f", "in_position", "in_normal")]
         bound.append((ctx.buffer(np.ascontiguousarray(surface.joints[:, :4])), "4i", "in_joints"))
         bound.append((ctx.buffer(np.ascontiguousarray(surface.weights[:, :4])), "4f", "in_weights"))
         if eight:
@@ -150,7 +151,7 @@ class _Mesh:
         self.weights = weights
 
 
-def _texture(pixels: Floats) -> Any:
+def _texture(pixels: Picture) -> Any:
     ctx = context()
     height, width = pixels.shape[:2]
     made = ctx.texture((width, height), 4, np.ascontiguousarray(pixels), internal_format=_SRGB8_ALPHA8)
@@ -217,7 +218,7 @@ class GlRenderer:
         )
         self.screens = {n: ctx.vertex_array(_program(n), []) for n in _SCREENS}
 
-    def draw(self, moment: Moment, view: View) -> Floats:
+    def draw(self, moment: Moment, view: View) -> Picture:
         """One picture, (H, W, 4) uint8, straight alpha."""
         ctx = self.ctx
         self.frame.write(pack_frame(view, self.settings, *self.size))
@@ -462,7 +463,7 @@ def blur_kernel(taps: int, sigma: float) -> Floats:
     return np.array(rows)
 
 
-def _straight(picture: Floats) -> Floats:
+def _straight(picture: Picture) -> Picture:
     """Straight alpha from premultiplied."""
     alpha = picture[..., 3:].astype(np.float32)
     colors = picture[..., :3] * (255 / np.maximum(alpha, 1))

@@ -16,7 +16,7 @@ from keypose.io.atomic import replacing
 from keypose.model import Scene
 from keypose.render.camera import Framing, View
 from keypose.render.film import FILM_SUFFIXES, Film, even_size, find_encoder
-from keypose.render.settings import RenderSettings
+from keypose.render.settings import Picture, RenderSettings
 from keypose.render.sheet import compose, layout
 from keypose.render.stage import Animation, Moment, Stage
 
@@ -32,7 +32,7 @@ class Renderer(Protocol):
 
     name: str
 
-    def draw(self, moment: Moment, view: View) -> Floats:
+    def draw(self, moment: Moment, view: View) -> Picture:
         """One picture, (H, W, 4) uint8 sRGB with straight alpha."""
         ...
 
@@ -43,7 +43,7 @@ class Renderer(Protocol):
 
 def render_image(
     scene: Scene, animation: Play = None, time_s: float = 0.0, settings: RenderSettings | None = None
-) -> Floats:
+) -> Picture:
     """A picture of a scene at one time.
 
     Shapes and units: returns (height, width, 4) uint8 sRGB with straight alpha; ``animation`` is the name of one of the
@@ -65,7 +65,7 @@ def render_image(
 
 def render_frames(
     scene: Scene, animation: Play = None, settings: RenderSettings | None = None
-) -> Iterator[tuple[float, Floats]]:
+) -> Iterator[tuple[float, Picture]]:
     """The time and picture (height, width, 4) of every frame of an animation, one after the other."""
     settings = settings or RenderSettings()
     stage = Stage(scene, animation, settings)
@@ -85,7 +85,7 @@ def contact_sheet(
     settings: RenderSettings | None = None,
     turntable: bool = False,
     progress: Progress | None = None,
-) -> Floats:
+) -> Picture:
     """One page (height, width, 4) uint8 of evenly spaced frames with their numbers.
 
     A still subject, or one on a ``turntable``, is shown from all sides instead, with the angles.
@@ -110,7 +110,7 @@ def contact_sheet(
     framing = Framing(stage, settings.camera, grid.cell[0] / grid.cell[1], turning=around)
     renderer = make_renderer(stage, cell, settings.supersample or 2)
     try:
-        pictures: list[Floats] = []
+        pictures: list[Picture] = []
         for picture in _pictures(stage, framing, renderer, times, angles):
             pictures.append(picture)
             if progress:
@@ -164,7 +164,7 @@ def render_file(
     return ()
 
 
-def write_png(picture: Floats, path: Path, opaque: bool = True) -> None:
+def write_png(picture: Picture, path: Path, opaque: bool = True) -> None:
     """A picture (H, W, 4) uint8 as PNG; ``opaque`` leaves the alpha channel out."""
     try:
         from PIL import Image
@@ -222,7 +222,7 @@ def _render_film(
         raise ShapeError("time_s: expected a finite number")
     renderer = make_renderer(stage, settings, settings.supersample or 1)
     try:
-        samples: list[Floats] = []
+        samples: list[Picture] = []
         if suffix == ".gif":
             some = np.unique(np.rint(np.linspace(0, len(times) - 1, _GIF_SAMPLES)).astype(int))
             samples = list(_pictures(stage, framing, renderer, times[some], None if angles is None else angles[some]))
@@ -243,7 +243,7 @@ def _render_film(
 
 def _pictures(
     stage: Stage, framing: Framing, renderer: Renderer, times_s: Floats, angles_deg: Any = None
-) -> Iterator[Floats]:
+) -> Iterator[Picture]:
     for start in range(0, len(times_s), _CHUNK):
         part = slice(start, start + _CHUNK)
         views = framing.views(times_s[part], None if angles_deg is None else angles_deg[part])

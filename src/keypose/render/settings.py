@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from keypose.errors import ShapeError, UnknownName
 
 BACKENDS = ("auto", "gl", "cpu")
 ARRANGEMENTS = ("auto", "as_is", "row")
-Rgb = tuple[float, float, float]
+Rgb: TypeAlias = tuple[float, float, float]
+Picture: TypeAlias = NDArray[np.uint8]  # (H, W, 4), rows from top to bottom
 
 
 def _check_range(name: str, value: float, low: float, high: float) -> None:
@@ -55,24 +60,29 @@ class Camera:
                 _check_range("target", value, -1e9, 1e9)
 
     @classmethod
+    def _at(cls, azimuth_deg: float, elevation_deg: float, changes: Mapping[str, Any]) -> Camera:
+        options: dict[str, Any] = {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, **changes}
+        return cls(**options)
+
+    @classmethod
     def front(cls, **changes: Any) -> Camera:
         """Straight at the face."""
-        return cls(**{"azimuth_deg": 0.0, "elevation_deg": 4.0, **changes})
+        return cls._at(0.0, 4.0, changes)
 
     @classmethod
     def side(cls, **changes: Any) -> Camera:
         """At the character's left side."""
-        return cls(**{"azimuth_deg": 90.0, "elevation_deg": 4.0, **changes})
+        return cls._at(90.0, 4.0, changes)
 
     @classmethod
     def back(cls, **changes: Any) -> Camera:
         """At the character's back."""
-        return cls(**{"azimuth_deg": 180.0, "elevation_deg": 4.0, **changes})
+        return cls._at(180.0, 4.0, changes)
 
     @classmethod
     def top(cls, **changes: Any) -> Camera:
         """From above."""
-        return cls(**{"azimuth_deg": 0.0, "elevation_deg": 80.0, **changes})
+        return cls._at(0.0, 80.0, changes)
 
     @classmethod
     def three_quarter(cls, **changes: Any) -> Camera:
@@ -145,11 +155,11 @@ LIGHT = Theme(
     grid=srgb("#8d99aa"),
     grid_strength=0.42,
     shadow=srgb("#77829a"),
-    key=(1.12, 1.08, 1.02),
-    fill=(0.12, 0.13, 0.16),
+    key=(1.06, 1.02, 0.96),
+    fill=(0.17, 0.17, 0.19),
     rim=(0.34, 0.36, 0.40),
-    sky_ambient=(0.34, 0.36, 0.40),
-    ground_ambient=(0.20, 0.19, 0.18),
+    sky_ambient=(0.39, 0.41, 0.45),
+    ground_ambient=(0.26, 0.25, 0.24),
     clay=srgb("#c9c3ba"),
     bone_left=srgb("#2f86d6"),
     bone_right=srgb("#e8663f"),
@@ -165,10 +175,10 @@ DARK = Theme(
     grid_strength=0.30,
     shadow=srgb("#0d1015"),
     key=(1.08, 1.03, 0.96),
-    fill=(0.08, 0.10, 0.14),
+    fill=(0.12, 0.14, 0.18),
     rim=(0.55, 0.62, 0.74),
-    sky_ambient=(0.20, 0.23, 0.28),
-    ground_ambient=(0.10, 0.10, 0.11),
+    sky_ambient=(0.25, 0.28, 0.33),
+    ground_ambient=(0.14, 0.14, 0.15),
     clay=srgb("#c9c3ba"),
     bone_left=srgb("#4aa3f0"),
     bone_right=srgb("#ff8259"),

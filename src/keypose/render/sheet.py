@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Floats
 from keypose.errors import MissingExtra
-from keypose.render.settings import Rgb, Theme, encoded
+from keypose.render.settings import Picture, Rgb, Theme, encoded
 
 _GAP = 6  # pixels between the pictures, on a page of a thousand
 
@@ -54,8 +53,8 @@ def layout(count: int, width: int, height: int, aspect: float) -> Layout:
 
 
 def compose(
-    pictures: Sequence[Floats], labels: Sequence[str], width: int, height: int, grid: Layout, theme: Theme
-) -> Floats:
+    pictures: Sequence[Picture], labels: Sequence[str], width: int, height: int, grid: Layout, theme: Theme
+) -> Picture:
     """The page: (height, width, 4) uint8."""
     image, drawing, font = _pillow()
     page = image.new("RGBA", (width, height), _code(theme.zenith))

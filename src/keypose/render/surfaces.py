@@ -9,6 +9,7 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.model import Character, Image, Material, Part
+from keypose.render.settings import Picture
 from keypose.render.stage import Drawn, Moment, Stage
 
 _MAX_TEXTURE = 2048  # pixels along one side; larger pictures are reduced
@@ -31,7 +32,7 @@ class Surface:
     cast: Drawn
     character: Character
     part: Part
-    texture: Floats | None
+    texture: Picture | None
     palette: Ints
     joint_from_mesh: Floats
     joints: Ints
@@ -70,7 +71,7 @@ class Surface:
 
 def surfaces(stage: Stage) -> list[Surface]:
     """Everything that is drawn, in the order of the stage."""
-    pictures: dict[int, Floats | None] = {}
+    pictures: dict[int, Picture | None] = {}
     found: list[Surface] = []
     for index, drawn in enumerate(stage.drawn):
         character = stage.character(drawn)
@@ -85,7 +86,7 @@ def surfaces(stage: Stage) -> list[Surface]:
     return found
 
 
-def decode_image(image: Image) -> Floats | None:
+def decode_image(image: Image) -> Picture | None:
     """(H, W, 4) uint8 of an encoded picture; None for one that is missing, damaged or absurdly large."""
     if not image.data:
         return None
