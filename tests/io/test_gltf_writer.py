@@ -57,7 +57,7 @@ def bone(*names: str, parents: list[int] | None = None) -> Skeleton:
         np.float32(np.tile([1, 0, 0, 0], (count, 1))),
         np.ones((count, 3), np.float32),
     )
-    return Skeleton(names, np.array([-1] + list(range(count - 1)) if parents is None else parents), rest)
+    return Skeleton(names, np.array(list(range(-1, count - 1)) if parents is None else parents), rest)
 
 
 def cloth(rng: np.random.Generator, vertices: int = 12) -> Mesh:
@@ -248,7 +248,7 @@ def test_the_human_and_its_performances(tmp_path: Path) -> None:
         times = motion.times_s
         ours = evaluate.sample_morphs(motion, human.morph_names, times, human.rest_morph_weights)
         theirs = evaluate.sample_morphs(clip, character.morph_names, times, character.rest_morph_weights)
-        np.testing.assert_allclose(theirs, ours, atol=2e-6)
+        np.testing.assert_allclose(theirs, ours, atol=2e-5)  # key times are rounded to single precision
     assert errors_of(tmp_path / "human.glb") == []
 
 
@@ -466,7 +466,7 @@ def test_weights_of_different_keys_and_interpolations_are_joined_exactly(seed: i
     curves = {}
     for name in ("a", "b", "c"):
         keys = int(rng.integers(1, 6))
-        times = np.sort(np.round(rng.uniform(0, 3, keys), 2) + np.arange(keys) * 0.05)
+        times = np.sort(np.round(rng.uniform(0, 3, keys), 2)) + np.arange(keys) * 0.05
         values, ins, outs = (np.float32(rng.normal(size=(keys, 1))) for _ in range(3))
         modes = rng.integers(0, 3, keys) if seed % 2 else np.full(keys, rng.integers(0, 3))
         curves[Channel(name, Property.WEIGHT)] = Curve(times, values, modes, ins, outs, CurveKind.SCALAR)

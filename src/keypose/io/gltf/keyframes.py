@@ -9,7 +9,7 @@ Source: glTF 2.0 Specification, appendix C; course notes B4 (Hermite).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,24 @@ def track_of(curve: Curve) -> Track:
             return Track(curve.times_s, curve.values, mode, curve.in_tangents, curve.out_tangents)
         return Track(curve.times_s, curve.values, mode)
     return _as_cubic(curve) if Interpolation.HERMITE in modes else _as_lines(curve)
+
+
+def single_precision(track: Track) -> tuple[Track, int]:
+    """The track with its times rounded, and how many keys fell on the time of their successor and were dropped."""
+    times = track.times_s.astype(np.float32).astype(np.float64)
+    kept = np.concatenate([times[:-1] < times[1:], [True]])
+    if np.all(kept):
+        return replace(track, times_s=times), 0
+    ins, outs = track.in_tangents, track.out_tangents
+    first = np.concatenate([[True], kept[:-1]])  # of keys at one time, the first has what arrives, the last what leaves
+    rounded = Track(
+        times[kept],
+        track.values[kept],
+        track.mode,
+        None if ins is None else ins[first],
+        None if outs is None else outs[kept],
+    )
+    return rounded, int(np.sum(~kept))
 
 
 def _just_before(time_s: float) -> float:

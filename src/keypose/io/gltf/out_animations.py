@@ -6,7 +6,7 @@ Source: glTF 2.0 Specification, section 3.11.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from keypose.evaluate import to_clip
 from keypose.io.gltf.buffers import Buffers
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.hierarchy import OWN
-from keypose.io.gltf.keyframes import Track, join, track_of
+from keypose.io.gltf.keyframes import Track, join, single_precision, track_of
 from keypose.model import Channel, Character, Clip, Curve, Extrapolation, Interpolation, Motion, Property
 
 NAMES = {Interpolation.STEP: "STEP", Interpolation.LINEAR: "LINEAR", Interpolation.HERMITE: "CUBICSPLINE"}
@@ -61,16 +61,17 @@ class AnimationWriter:
         if shift < 0:
             self._notes.add(f"animation '{clip.name}': it was moved by {-shift:g} s because glTF's time starts at 0")
             extras["start_s"] = shift
+            clip = replace(clip, curves={c: replace(v, times_s=v.times_s - shift) for c, v in clip.curves.items()})
         item = _Item()
         for written in self._characters:
-            self._for_character(item, written, clip, shift, isinstance(animation, Motion))
+            self._for_character(item, written, clip, isinstance(animation, Motion))
         known = {n for w in self._characters for n in (*w.character.skeleton.names, *w.character.morph_names)}
         unknown = sorted({c.target for c in clip.curves} - known)
         if unknown:
             shown = ", ".join(unknown[:6]) + (", …" if len(unknown) > 6 else "")
             self._notes.add(f"animation '{clip.name}': {len(unknown)} targets do not exist and were dropped: {shown}")
         if isinstance(animation, Motion) and self._characters:
-            self._for_resting(item, self._characters[0], animation, shift)
+            self._for_resting(item, self._characters[0], animation, max(animation.start_s, 0.0))
         if not item.channels:
             self._notes.add(f"animation '{clip.name}' moves nothing in this file and was dropped")
             return
@@ -80,9 +81,7 @@ class AnimationWriter:
             result["extras"] = {OWN: extras}
         self.animations.append(result)
 
-    def _for_character(
-        self, item: _Item, written: WrittenCharacter, clip: Clip, shift: float, without_rest: bool
-    ) -> None:
+    def _for_character(self, item: _Item, written: WrittenCharacter, clip: Clip, without_rest: bool) -> None:
         character = written.character
         joints = {name: joint for joint, name in enumerate(character.skeleton.names)}
         morphs = {name: morph for morph, name in enumerate(character.morph_names)}
@@ -98,16 +97,16 @@ class AnimationWriter:
             elif channel.target in joints:
                 if without_rest and _rests(curve, character, channel):
                     continue
-                track = track_of(curve)
+                track = self._track(curve)
                 if len(set(curve.modes[:-1].tolist())) > 1:
                     self._notes.add(f"animation '{clip.name}': curves of mixed interpolation got additional keys")
                 rotation = channel.property is Property.ROTATION
                 node = written.first_node + joints[channel.target]
-                self._channel(item, node, channel.property.value, track, shift, rotation)
+                self._channel(item, node, channel.property.value, track, rotation)
         if weights:
-            self._weights(item, written, weights, shift)
+            self._weights(item, written, weights)
 
-    def _weights(self, item: _Item, written: WrittenCharacter, weights: Mapping[int, Curve], shift: float) -> None:
+    def _weights(self, item: _Item, written: WrittenCharacter, weights: Mapping[int, Curve]) -> None:
         """All morph channels at the same times, so that those that several nodes share stay equal on all of them."""
         rest = np.asarray(written.character.rest_morph_weights, np.float32)
         nodes = [(node, channels) for node, channels in written.morph_nodes if any(int(c) in weights for c in channels)]
@@ -116,53 +115,56 @@ class AnimationWriter:
             return
         start = min(float(weights[c].times_s[0]) for c in used if c in weights)
         tracks = [
-            track_of(weights[c])
+            self._track(weights[c])
             if c in weights
             else Track(np.array([start]), rest[c].reshape(1, 1), Interpolation.LINEAR)
             for c in used
         ]
         joined = join(tracks)
         for node, channels in nodes:
-            self._channel(item, node, "weights", joined.columns([used.index(int(c)) for c in channels]), shift, False)
+            self._channel(item, node, "weights", joined.columns([used.index(int(c)) for c in channels]), False)
 
-    def _for_resting(self, item: _Item, written: WrittenCharacter, motion: Motion, shift: float) -> None:
+    def _track(self, curve: Curve) -> Track:
+        """A curve with one interpolation, at times that single precision can hold."""
+        track, dropped = single_precision(track_of(curve))
+        if dropped:
+            self._notes.add(f"{dropped} keys were too close in time for single precision and were dropped")
+        return track
+
+    def _for_resting(self, item: _Item, written: WrittenCharacter, motion: Motion, start: float) -> None:
         """Keep the length of a motion whose last frames all channels leave out because they rest."""
-        end = motion.start_s + motion.duration_s
+        end = start + motion.duration_s
         skeleton = written.character.skeleton
         names = [n for n in skeleton.names if n in motion.joint_names]
-        if (item.channels and item.end_s >= end - 1e-9) or not names:
+        if (item.channels and item.end_s >= end - 1e-6 * max(end, 1.0)) or not names:
             return
         node = written.first_node + skeleton.index(names[0])
         taken = {(c["target"]["node"], c["target"]["path"]) for c in item.channels}
         for path in ("rotation", "translation", "scale"):
             if (node, path) not in taken:
                 rest = getattr(skeleton.rest, f"{path}s")[skeleton.index(names[0])]
-                times = np.array([motion.start_s, end] if end > motion.start_s else [end])
+                times = np.array([start, end] if end > start else [end], np.float32).astype(np.float64)
                 track = Track(times, np.tile(rest, (len(times), 1)), Interpolation.LINEAR)
-                self._channel(item, node, path, track, shift, path == "rotation")
+                self._channel(item, node, path, track, path == "rotation")
                 return
 
-    def _channel(self, item: _Item, node: int, path: str, track: Track, shift: float, rotation: bool) -> None:
-        times = (track.times_s - shift).astype(np.float32)
-        kept = np.concatenate([times[:-1] < times[1:], [True]])
-        if not np.all(kept):
-            self._notes.add(f"{int(np.sum(~kept))} keys were too close in time for single precision and were dropped")
+    def _channel(self, item: _Item, node: int, path: str, track: Track, rotation: bool) -> None:
+        times = track.times_s.astype(np.float32)
         mode = track.mode
         values = _filed(track.values, rotation)
-        if mode is Interpolation.HERMITE and len(times[kept]) > 1:
+        if mode is Interpolation.HERMITE and len(times) > 1:
             stacked = np.stack(
                 [_filed(t, rotation) for t in (track.in_tangents, track.values, track.out_tangents) if t is not None],
                 axis=1,
             )
-            values = stacked[kept].reshape(-1, values.shape[1])
+            values = stacked.reshape(-1, values.shape[1])
         else:
-            values = values[kept]
             if rotation:
                 values = _unit(values)
             mode = Interpolation.LINEAR if mode is Interpolation.HERMITE else mode
         if path == "weights":
             values = values.reshape(-1, 1)
-        input = self._buffers.keyframes(times[kept][:, None], bounds=True)
+        input = self._buffers.keyframes(times[:, None], bounds=True)
         output = self._buffers.keyframes(np.ascontiguousarray(values))
         key = (input, output, NAMES[mode])
         if key not in item.known:

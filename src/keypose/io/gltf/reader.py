@@ -151,7 +151,7 @@ def _part_extras(mesh: MeshItem, primitive: Mapping[str, Any], node: str | None)
     """What the writer needs to put the part back where it was."""
     kept = {k: v for k, v in primitive.items() if k != OWN}
     place: dict[str, Any] = {}
-    if mesh.name:
+    if mesh.name and len(mesh.primitives) > 1:  # of a single part, the part has the name
         place["mesh"] = mesh.name
     if node is not None:
         place["node"] = node
