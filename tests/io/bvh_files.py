@@ -94,3 +94,13 @@ def still(names: list[str], parents: list[int], translations: list[list[float]])
     count = len(names)
     rest = Pose(np.array(translations, float), np.tile((1.0, 0, 0, 0), (count, 1)), np.ones((count, 3)))
     return Skeleton(tuple(names), np.array(parents), rest)
+
+
+def moving_figure() -> str:
+    """A file with position channels on a child, joints with one and no channels, and forty frames."""
+    child = (
+        "JOINT b\n{\nOFFSET 0 10 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        "JOINT c\n{\nOFFSET 0 10 0\nCHANNELS 1 Xrotation\nJOINT d\n{\nOFFSET 1 2 3\nCHANNELS 0\n}\n}\n}"
+    )
+    rows = [[t, 90.0 + t, -t, 5 * t, t / 2, t / 3, 0.1 * t, 10.0, 0, t, 2 * t, 3 * t, -t] for t in range(40)]
+    return one_joint("Xposition Yposition Zposition Zrotation Yrotation Xrotation", rows, child=child)

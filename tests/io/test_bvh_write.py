@@ -279,7 +279,7 @@ def test_several_roots_of_other_origin_get_a_common_one(tmp_path: Path) -> None:
     again = keypose.io.load(tmp_path / "a.bvh", unit="cm", up="Y")
     assert again.character.skeleton.names[0] == "Root" and np.count_nonzero(again.character.skeleton.parents < 0) == 1
     places = [again.character.skeleton.index(name) for name in scene.character.skeleton.names]
-    assert np.abs(world_of(again)[:, places, :3, 3] - world_of(scene)[..., :3, 3]).max() * 1e3 < MM
+    assert np.abs(world_of(again)[:, places][..., :3, 3] - world_of(scene)[..., :3, 3]).max() * 1e3 < MM
 
 
 def test_names_and_end_sites(tmp_path: Path) -> None:
