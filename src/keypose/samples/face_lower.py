@@ -132,7 +132,7 @@ def roll(face: Face, is_upper: bool) -> dict[str, Floats]:
     pull = np.where(ring >= 0, np.array([0.0, 0.85, 0.70, 0.38, 0.14])[np.clip(ring, 0, 4)], 0.0)
     back = np.where(ring >= 0, np.array([1.0, 1.0, 0.55, 0.12, 0.0])[np.clip(ring, 0, 4)], (ring == -1) * 1.0) * -0.0044
     sign = 1.0 if is_upper else -1.0
-    inside = np.where((ring == 0) | (ring == -1), 0.0010 * sign, 0.0)
+    inside = np.where((ring == 0) | (ring == -1), 0.0002 * sign, 0.0)
     skin = np.stack([0 * w, ((line - p[:, 1]) * pull + inside) * w, back * w], 1)
     return skin_only(face, skin)
 

@@ -99,7 +99,7 @@ def packed_skin(weights: Floats, influences: int = 4) -> Skin:
     """The skin of dense weights (V, J): the strongest influences, normalised, over the joints really used."""
     order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
     kept = np.take_along_axis(weights, order, 1)
-    kept[kept < 1e-4] = 0.0
+    kept[kept < 0.015] = 0.0  # traces that subdivision carried far; they would only cost influences
     kept /= kept.sum(1, keepdims=True)
     used = np.unique(order[kept > 0])
     slot = np.zeros(weights.shape[1], np.int32)

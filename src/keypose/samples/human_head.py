@@ -336,8 +336,8 @@ def _inner_rims(
         new_mouth.append(np.full(MOUTH_AROUND, -1 - ring))
         new_angle.append(around)
         new_faces += [
-            np.stack([previous[:-1], ids[:-1], previous[1:]], 1),
-            np.stack([previous[1:], ids[:-1], ids[1:]], 1),
+            np.stack([previous[:-1], previous[1:], ids[:-1]], 1),
+            np.stack([previous[1:], ids[1:], ids[:-1]], 1),
         ]
         previous = ids
     end = np.array([[0.0, MOUTH_Y, 0.04]])
@@ -345,7 +345,7 @@ def _inner_rims(
     new_eye.append(np.array([-99]))
     new_mouth.append(np.array([-7]))
     new_angle.append(np.zeros(1))
-    new_faces.append(np.stack([previous[:-1], np.full(MOUTH_AROUND - 1, count), previous[1:]], 1))
+    new_faces.append(np.stack([previous[:-1], previous[1:], np.full(MOUTH_AROUND - 1, count)], 1))
     faces = np.vstack([faces, *new_faces])
     inside = np.zeros(len(faces), bool)
     inside[skin_faces + 2 * (MOUTH_AROUND - 1) :] = True
