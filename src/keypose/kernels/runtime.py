@@ -174,8 +174,9 @@ def readable(values: Any, dtype: Any) -> np.ndarray:
 
     Always read-only, so that frozen and writable arrays meet the same compiled kernel.
     """
-    flat = np.require(values, dtype, ["C", "A"]).reshape(-1)
-    view = flat.view()
+    if not (type(values) is np.ndarray and values.dtype == dtype and values.flags.carray):
+        values = np.require(values, dtype, ["C", "A"])
+    view = values.reshape(-1).view()
     view.flags.writeable = False
     return view
 

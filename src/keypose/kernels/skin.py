@@ -21,12 +21,31 @@ from keypose.errors import ShapeError
 from keypose.kernels.fk import lane_count
 from keypose.kernels.rotations import load4, store4
 from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, inlined, kernel, readable, scratch, scratch_like
-from keypose.kernels.vectors import fill, lanes, load, maximum, pointer, rsqrt, splat, store, store_triples
+from keypose.kernels.vectors import (
+    fill,
+    float32_at,
+    int64_at,
+    lanes,
+    load,
+    maximum,
+    pointer,
+    pointer_like,
+    rsqrt,
+    splat,
+    store,
+    store_triples,
+)
 
 _SLOTS = 4  # influences whose matrices a crowd's kernel holds in registers
 _ROW = 12  # numbers per vertex: three weights, point (x, y, z, 1), normal, two unused
 
 _POSITIONS, _SAME_MATRICES, _OWN_MATRICES = 0, 1, 2  # what becomes of normals
+_MATRICES = ((4, 4), (3, 4))
+_NOTHING = {np.dtype(t): readable(np.zeros(0), t) for t in (np.float32, np.float64)}
+
+# Where `CompiledMesh.handles` holds what: sizes, then addresses.
+_VERTEX_COUNT, _CHUNK_COUNT, _COLUMNS, _RUN_COUNT, _PALETTE_SIZE = range(5)
+_CHUNKS, _JOINTS, _WEIGHTS, _POINTS, _VERTICES, _RUNS, _RUN_VERTICES, _RUN_ROWS, _PALETTE, _BIND = range(5, 15)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +54,9 @@ class CompiledMesh:
 
     Chunks, for one character: L vertices (the lanes of the type) and the joints that move any of them.
     Runs, for crowds: vertices that share up to four joints; with more joints a vertex is in several runs, which add up.
+
+    The arrays belong to the kernels; ``handles`` holds their sizes and addresses, because handing over one array is
+    quicker than ten. The palette and the inverse bind matrices are for crowds only.
     """
 
     dtype: np.dtype
@@ -51,15 +73,26 @@ class CompiledMesh:
     runs: np.ndarray
     run_vertices: np.ndarray  # [row]
     run_rows: np.ndarray  # float32 [row][12], see `_skin_run`
+    palette: np.ndarray  # (P,) joints of the skeleton
+    joint_from_mesh: np.ndarray  # float32 [P][12]
+    handles: np.ndarray
 
 
 # --- Python-level entries -------------------------------------------------------------------------------------------------
 
 
-def compile_mesh(joints: Any, weights: Any, positions: Any, normals: Any | None = None) -> CompiledMesh:
+def compile_mesh(
+    joints: Any,
+    weights: Any,
+    positions: Any,
+    normals: Any | None = None,
+    palette: Any | None = None,
+    joint_from_mesh: Any | None = None,
+) -> CompiledMesh:
     """A mesh ready to be skinned many times, in the type of its positions.
 
-    Shapes and units: joints (V, K) palette indices, weights (V, K), positions (V, 3) and normals (V, 3).
+    Shapes and units: joints (V, K) palette indices, weights (V, K), positions (V, 3) and normals (V, 3); for crowds also
+    palette (P,) joints of the skeleton and joint_from_mesh (P, 3 or 4, 4) inverse bind matrices.
     """
     positions = np.asarray(positions)
     dtype = np.dtype(np.float32 if positions.dtype == np.float32 else np.float64)
@@ -73,45 +106,64 @@ def compile_mesh(joints: Any, weights: Any, positions: Any, normals: Any | None 
     points = positions if normals is None else np.concatenate([positions, np.asarray(normals, dtype)], axis=1)
     if points.shape[1] not in (3, 6):
         raise ShapeError(f"normals: expected {positions.shape}, got {np.shape(normals)}")
+    joint_count = int(joints.max()) + 1 if joints.size else 0
+    palette = np.array([] if palette is None else palette, np.int64)
+    bind = aligned_copy(np.zeros((0, 3, 4)) if joint_from_mesh is None else np.asarray(joint_from_mesh)[:, :3])
+    if len(palette) * 12 != bind.size or (len(palette) and (len(palette) < joint_count or palette.min() < 0)):
+        raise ShapeError(f"palette: expected at least {joint_count} joints with a matrix each, got {len(palette)}")
     groups, sorted_joints, sorted_weights = _groups(joints, weights)
     chunks = _chunks(groups, joints.shape[1], sorted_joints, sorted_weights, points, lane_count(dtype))
     runs = _runs(groups, sorted_joints, sorted_weights, points.astype(np.float32))
-    joint_count = int(joints.max()) + 1 if joints.size else 0
-    return CompiledMesh(dtype, count, joint_count, normals is not None, *chunks, *runs)
+    arrays = (*chunks, *runs, palette, bind)
+    sizes = (count, len(chunks[0]) // 5, points.shape[1], len(runs[0]) // 7, len(palette))
+    handles = np.array([*sizes, *(a.ctypes.data for a in arrays)], np.int64)
+    return CompiledMesh(dtype, count, joint_count, normals is not None, *arrays, handles)
 
 
 def skin(
-    mesh: CompiledMesh, matrices: Any, normal_matrices: Any | None = None, with_normals: bool = False
+    mesh: CompiledMesh,
+    matrices: Any,
+    normal_matrices: Any | None = None,
+    with_normals: bool = False,
+    out: tuple[np.ndarray, np.ndarray | None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions, and normals if asked for, of a compiled mesh moved by palette matrices.
 
     Normals are turned by the blended matrix as it is, or by blended ``normal_matrices``, then with length 1.
 
     Shapes and units: matrices (*B, P, 4, 4) or (*B, P, 3, 4); normal_matrices (*B, P, 3, 3). Returns (*B, V, 3) each,
-    the second None without normals.
+    the second None without normals; in ``out`` if given, which must fit.
 
     Source: lecture notes, "Skinning": ``T(v) = sum_j w_j R_j v``.
     """
     matrices = np.asarray(matrices)
-    if matrices.ndim < 3 or matrices.shape[-2:] not in ((4, 4), (3, 4)) or matrices.shape[-3] < mesh.joint_count:
+    if matrices.ndim < 3 or matrices.shape[-2:] not in _MATRICES or matrices.shape[-3] < mesh.joint_count:
         raise ShapeError(f"matrices: expected (*B, {mesh.joint_count} or more, 4, 4), got {matrices.shape}")
     if with_normals and not mesh.with_normals:
         raise ShapeError("normals: the mesh was compiled without them")
     batch, palette = matrices.shape[:-3], matrices.shape[-3]
-    poses, size = int(np.prod(batch)), matrices.shape[-2] * 4
-    mode = _POSITIONS if not with_normals else _SAME_MATRICES if normal_matrices is None else _OWN_MATRICES
-    turning = np.zeros(0) if normal_matrices is None else np.asarray(normal_matrices)
-    if mode == _OWN_MATRICES and turning.shape != (*batch, palette, 3, 3):
-        raise ShapeError(f"normal_matrices: expected {(*batch, palette, 3, 3)}, got {turning.shape}")
-    moved = np.empty((*batch, mesh.vertex_count, 3), mesh.dtype)
-    turned = np.empty(moved.shape if with_normals else 0, mesh.dtype)
+    shape = (*batch, mesh.vertex_count, 3)
+    mode, turning = _POSITIONS, _NOTHING[mesh.dtype]
+    if with_normals:
+        mode = _SAME_MATRICES if normal_matrices is None else _OWN_MATRICES
+    if mode == _OWN_MATRICES:
+        if np.shape(normal_matrices) != (*batch, palette, 3, 3):
+            raise ShapeError(f"normal_matrices: expected {(*batch, palette, 3, 3)}, got {np.shape(normal_matrices)}")
+        turning = readable(normal_matrices, mesh.dtype)
+    if out is None:
+        moved, turned = np.empty(shape, mesh.dtype), np.empty(shape, mesh.dtype) if with_normals else None
+    else:
+        moved, turned = out
+        for array in out if with_normals else out[:1]:
+            if array is None or array.shape != shape or array.dtype != mesh.dtype or not array.flags.c_contiguous:
+                raise ShapeError(f"out: expected {shape} of {mesh.dtype}")
     if moved.size:
+        target = moved.reshape(-1)
         _skin_poses(
-            mesh.chunks, mesh.chunk_joints, mesh.chunk_weights, mesh.chunk_points, mesh.chunk_vertices,
-            6 if mesh.with_normals else 3, readable(matrices, mesh.dtype), size, palette, poses,
-            readable(turning, mesh.dtype), mode, mesh.vertex_count, moved.reshape(-1), turned.reshape(-1),
+            mesh.chunk_points, mesh.handles, readable(matrices, mesh.dtype), matrices.shape[-2] * 4, palette, turning,
+            mode, target, target if turned is None else turned.reshape(-1),
         )  # fmt: skip
-    return moved, turned if with_normals else None
+    return moved, turned
 
 
 def linear_blend(matrices: Any, joints: Any, weights: Any, positions: Any, normals: Any | None = None) -> Any:
@@ -126,38 +178,25 @@ def linear_blend(matrices: Any, joints: Any, weights: Any, positions: Any, norma
 
 
 def skin_crowd(
-    mesh: CompiledMesh,
-    models: np.ndarray,
-    palette: Any,
-    joint_from_mesh: Any,
-    with_normals: bool = False,
-    out: np.ndarray | None = None,
+    mesh: CompiledMesh, models: np.ndarray, with_normals: bool = False, out: np.ndarray | None = None
 ) -> np.ndarray:
     """The vertices of many characters that share one mesh, characters in the lanes.
 
-    Shapes and units: models (blocks, J, 12, W) float32 as `sample` leaves them; palette (P,) joints; joint_from_mesh
-    (P, 3 or 4, 4) inverse bind matrices. Returns (blocks, V, 3 or 6, W): positions, and normals turned by the blended
-    matrices; in ``out`` if given.
+    Shapes and units: models (blocks, J, 12, W) float32 as `sample.animate_crowd` leaves them. Returns
+    (blocks, V, 3 or 6, W): positions, and normals turned by the blended matrices; in ``out`` if given.
     """
-    palette, bind = np.asarray(palette, np.int64), np.asarray(joint_from_mesh, np.float32)[..., :3, :]
-    rows = 6 if with_normals else 3
-    if models.ndim != 4 or models.shape[2:] != (12, WIDTH) or models.dtype != np.float32:
+    if models.ndim != 4 or models.shape[2:] != (12, WIDTH) or models.dtype != np.float32 or not models.flags.carray:
         raise ShapeError(f"models: expected (blocks, J, 12, {WIDTH}) of float32, got {models.shape} of {models.dtype}")
-    if len(palette) < mesh.joint_count or bind.shape != (len(palette), 3, 4):
-        raise ShapeError(f"palette: expected {mesh.joint_count} joints with a matrix each, got {len(palette)}")
-    if len(palette) and not 0 <= palette.min() <= palette.max() < models.shape[1]:
-        raise ShapeError(f"palette: expected joints of the {models.shape[1]} in models, got {palette.max()}")
-    if rows > 3 and not mesh.with_normals:
+    if not len(mesh.palette) or mesh.palette.max() >= models.shape[1]:
+        raise ShapeError(f"mesh: expected one compiled with a palette of at most {models.shape[1]} joints")
+    if with_normals and not mesh.with_normals:
         raise ShapeError("normals: the mesh was compiled without them")
-    shape = (len(models), mesh.vertex_count, rows, WIDTH)
+    shape = (len(models), mesh.vertex_count, 6 if with_normals else 3, WIDTH)
     if out is None:
         out = aligned(int(np.prod(shape))).reshape(shape)
-    if out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+    if out.shape != shape or out.dtype != np.float32 or not out.flags.carray:
         raise ShapeError(f"out: expected {shape} of float32, got {out.shape} of {out.dtype}")
-    _skin_blocks(
-        readable(models, np.float32), models.shape[1], palette, readable(bind, np.float32), mesh.runs,
-        mesh.run_vertices, mesh.run_rows, with_normals, mesh.vertex_count, out.reshape(-1),
-    )  # fmt: skip
+    _skin_blocks(models, mesh.handles, out)
     return out
 
 
@@ -263,19 +302,16 @@ def _row3(array, at):
 
 
 @kernel
-def _skin_poses(
-    chunks, joints, weights, points, vertices, rows, matrices, size, palette, poses, turning, mode, vertex_count,
-    moved, turned,
-):  # fmt: skip
-    few = scratch_like(points, 3 * lanes(points))
-    count = chunks.shape[0] // 5
-    chunks, joints, weights = pointer(chunks), pointer(joints), pointer(weights)
-    points, vertices, matrices, turning = pointer(points), pointer(vertices), pointer(matrices), pointer(turning)
-    moved, turned = pointer(moved), pointer(turned)
+def _skin_poses(points, handles, matrices, size, palette, turning, mode, moved, turned):
+    memory = scratch_like(points, 3 * lanes(points))
+    poses = moved.shape[0] // (handles[_VERTEX_COUNT] * 3)
+    matrices, turning, moved, turned = pointer(matrices), pointer(turning), pointer(moved), pointer(turned)
+    numbers = handles[_VERTEX_COUNT] * 3
     for pose in range(poses):
         _skin_pose(
-            count, pointer(few), chunks, joints, weights, points, vertices, rows, matrices, pose * palette * size, size, turning,
-            pose * palette * 9, mode, moved, turned, pose * vertex_count * 3,
+            handles[_CHUNK_COUNT], pointer(memory), int64_at(handles[_CHUNKS]), int64_at(handles[_JOINTS]),
+            pointer_like(points, handles[_WEIGHTS]), pointer(points), int64_at(handles[_VERTICES]), handles[_COLUMNS],
+            matrices, pose * palette * size, size, turning, pose * palette * 9, mode, moved, turned, pose * numbers,
         )  # fmt: skip
 
 
@@ -357,9 +393,9 @@ def _combine(m0, m1, m2, bind, column):
 
 
 @kernel
-def _palette_matrices(models, at, palette, bind, out):
+def _palette_matrices(models, at, palette, size, bind, out):
     """out [palette][12][W] = model of the joint * inverse bind matrix."""
-    for p in range(palette.shape[0]):
+    for p in range(size):
         for row in range(3):
             k, column = 4 * row * WIDTH, p * 12
             m0, m1, m2, m3 = load4(models, at + palette[p] * 12 * WIDTH + k, WIDTH)
@@ -413,16 +449,18 @@ def _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, ou
 
 
 @kernel
-def _skin_blocks(models, joints, palette, bind, runs, vertices, rows, normals, vertex_count, out):
-    memory = scratch(palette.shape[0] * 12 * WIDTH)
-    each = 12 * WIDTH
-    blocks, run_count = models.shape[0] // (joints * each), runs.shape[0] // 7
-    models, bind, runs, vertices = pointer(models), pointer(bind), pointer(runs), pointer(vertices)
-    rows, out, bones = pointer(rows), pointer(out), pointer(memory)
+def _skin_blocks(models, handles, out):
+    blocks, joints, rows = out.shape[0], models.shape[1], out.shape[2]
+    size, each = handles[_PALETTE_SIZE], 12 * WIDTH
+    memory = scratch(size * each)
+    models, out, bones = pointer(models), pointer(out), pointer(memory)
+    runs, vertices, numbers = int64_at(handles[_RUNS]), int64_at(handles[_RUN_VERTICES]), float32_at(handles[_RUN_ROWS])
     for block in range(blocks):
-        _palette_matrices(models, block * joints * each, palette, bind, bones)
-        at = block * vertex_count * (6 if normals else 3) * WIDTH
-        for r in range(run_count):
+        _palette_matrices(
+            models, block * joints * each, int64_at(handles[_PALETTE]), size, float32_at(handles[_BIND]), bones
+        )
+        at = block * handles[_VERTEX_COUNT] * rows * WIDTH
+        for r in range(handles[_RUN_COUNT]):
             start, count, adds = runs[7 * r], runs[7 * r + 1], runs[7 * r + 2] != 0
             a, b, c, d = runs[7 * r + 3] * each, runs[7 * r + 4] * each, runs[7 * r + 5] * each, runs[7 * r + 6] * each
-            _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at)
+            _skin_run(bones, a, b, c, d, numbers, vertices, start, count, adds, rows == 6, out, at)

@@ -165,6 +165,18 @@ int64_at = _pointer_from(types.int64, "An address as a pointer to int64.")
 
 
 @intrinsic
+def pointer_like(typing, array, place):
+    """An address as a pointer to the element type of an array."""
+    dtype = array.dtype
+
+    def generate(context, builder, sig, args):
+        place = context.cast(builder, args[1], sig.args[1], types.intp)
+        return builder.inttoptr(place, context.get_data_type(dtype).as_pointer())
+
+    return types.CPointer(dtype)(array, place), generate
+
+
+@intrinsic
 def lanes(typing, array):
     """How many elements of this array one vector holds; a compile-time constant."""
     count = vector_of(array).lanes
