@@ -9,8 +9,15 @@ from geometry import depth_from_front
 from keypose.model import Character
 from keypose.samples.human import human
 from keypose.samples.human_face import ARKIT, MORPHS, VISEMES
-from keypose.samples.human_head import MOUTH_HALF, MOUTH_Y
-from keypose.samples.skeleton import EYE_CENTRE, EYE_RADIUS
+from keypose.samples.human_head import MOUTH_HALF, mouth_line
+from keypose.samples.skeleton import EYE_CENTRE as LIFE_SIZE_EYE
+from keypose.samples.skeleton import EYE_RADIUS as LIFE_SIZE_RADIUS
+from keypose.samples.skeleton import HEAD_SCALE, enlarged
+
+EYE_CENTRE = enlarged(np.array(LIFE_SIZE_EYE))
+EYE_RADIUS = HEAD_SCALE * LIFE_SIZE_RADIUS
+MOUTH_Y = float(enlarged(np.array([0.0, float(mouth_line(np.zeros(1))[0]), 0.1]))[1])
+CORNER = enlarged(np.array([MOUTH_HALF, float(mouth_line(np.array([MOUTH_HALF]))[0]), 0.1]))
 
 _EYES = ("eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp", "eyeSquint", "eyeWide")
 _MOUTH = ("Smile", "Frown", "Dimple", "Stretch", "Press", "LowerDown", "UpperUp")
@@ -100,7 +107,7 @@ def _front_of_eye() -> np.ndarray:
     """Places over the left eye's opening."""
     x, y = np.meshgrid(np.linspace(-0.0225, 0.0225, 31), np.linspace(-0.0160, 0.0185, 27))
     inside = (x / 0.0232) ** 2 + (y / np.where(y > 0, 0.0188, 0.0160)) ** 2 < 1
-    return np.stack([x[inside], y[inside]], 1) + EYE_CENTRE[:2]
+    return HEAD_SCALE * np.stack([x[inside], y[inside]], 1) + EYE_CENTRE[:2]
 
 
 def _depths(character: Character, posed, places: np.ndarray, **morphs: float) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +162,7 @@ def test_jaw_open_lowers_teeth_tongue_and_chin(character: Character, offsets) ->
     head = _points(character, "head")
     chin = np.argmin(np.abs(head[:, 0]) + np.abs(head[:, 1] - 1.43) + np.abs(head[:, 2] - 0.095))
     assert moved["head"][chin, 1] < -0.02
-    forehead = head[:, 1] > 1.52
+    forehead = head[:, 1] > 1.535
     assert np.all(moved["head"][forehead] == 0)
 
 
@@ -195,7 +202,7 @@ def test_mouth_openings(character: Character, posed) -> None:
 
 def test_corners_of_the_mouth(character: Character, offsets) -> None:
     head = _points(character, "head")
-    corner = np.argmin(np.linalg.norm(head[:, :2] - (MOUTH_HALF, MOUTH_Y + 0.0044), axis=1) - 5 * (head[:, 2] > 0.09))
+    corner = np.argmin(np.linalg.norm(head[:, :2] - CORNER[:2], axis=1) - 5 * (head[:, 2] > 0.09))
     at = {name: offsets[name]["head"][corner] for name in MORPHS if "head" in offsets[name]}
     assert at["mouthSmileLeft"][0] > 0.004 and at["mouthSmileLeft"][1] > 0.004
     assert at["mouthFrownLeft"][1] < -0.004

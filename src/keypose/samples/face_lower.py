@@ -11,7 +11,7 @@ from keypose.samples.face_base import Face, skin_only, turned
 from keypose.samples.face_upper import brow_down, cheek_raise, lid, on_skin, one_side
 from keypose.samples.human_head import MOUTH_HALF, MOUTH_Y, mouth_line
 from keypose.samples.shapes import bump, smoothstep
-from keypose.samples.skeleton import rest_positions
+from keypose.samples.skeleton import JAW_HINGE
 
 JAW_OPEN = np.deg2rad(23.0)
 
@@ -28,7 +28,7 @@ def jaw_move(face: Face, move: Callable[[Floats], Floats]) -> dict[str, Floats]:
 
 
 def jaw_open(face: Face) -> dict[str, Floats]:
-    hinge = rest_positions()["Jaw"]
+    hinge = np.array(JAW_HINGE)
     out = jaw_move(face, lambda p: turned(p, hinge, (1, 0, 0), float(JAW_OPEN)))
     # Opening pulls the corners of the mouth in and the cheeks long.
     p = face.head.points

@@ -14,7 +14,7 @@ from keypose.samples.human_face import FEATURES, MORPHS, Face, face_shapes
 from keypose.samples.human_features import Piece
 from keypose.samples.human_head import HeadMesh
 from keypose.samples.shapes import smoothstep
-from keypose.samples.skeleton import rest_positions, roles, skeleton
+from keypose.samples.skeleton import enlarged, head_scale, rest_positions, roles, skeleton
 from keypose.samples.subdivision import Surface, mirrored_name, subdivide
 
 NAME = "Robin"
@@ -245,9 +245,24 @@ def _joined(pieces: list[Piece]) -> Piece:
 
 
 def _piece_part(name: str, material: str, pieces: list[Piece], moves: Floats | None = None) -> Part:
+    """A part of the head."""
     whole = _joined(pieces)
     weights = np.vstack([_dense(p.weights, len(p.points)) for p in pieces])
-    return _part(name, material, whole.points, whole.triangles, weights, colors=whole.colors, moves=moves)
+    points = enlarged(whole.points)
+    if moves is not None:
+        moves = moves * head_scale(whole.points)
+    normals = _soft_normals(points, whole.triangles) if name == "hair" else None
+    return _part(name, material, points, whole.triangles, weights, normals, whole.colors, moves=moves)
+
+
+def _soft_normals(points: Floats, triangles: Ints) -> Floats:
+    """Normals of hair: leant away from the skull, so that the locks read as one volume instead of many rims."""
+    normals = vertex_normals(points, triangles)
+    out = points - enlarged(np.array([0.0, 1.565, -0.015]))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    lean = 0.9 * smoothstep(-0.35, 0.15, np.sum(normals * out, 1))
+    normals = normals + lean[:, None] * out
+    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def joint_mirror(names: tuple[str, ...]) -> Ints:
@@ -278,16 +293,18 @@ def _face_parts() -> list[Part]:
     face = Face(head, jaw, **{name: _joined(p).points for name, p in pieces.items()})
     shapes = face_shapes(face)
     moves = {feature: np.stack([getattr(shapes[m], feature) for m in MORPHS]) for feature in FEATURES}
-    normals = vertex_normals(head.points, head.triangles)
-    turns = normal_turns(head.points, head.triangles, moves["skin"])
+    points = enlarged(head.points)
+    skin_moves = moves["skin"] * head_scale(head.points)
+    normals = vertex_normals(points, head.triangles)
+    turns = normal_turns(points, head.triangles, skin_moves)
     weights = _head_weights(head, jaw)
     outside, bag = head.triangles[~head.inside], head.triangles[head.inside]
     lashes = _lashes(head)
     follows = _joined(lashes).follows
     material = {"upper_teeth": "teeth", "lower_teeth": "teeth"}
     return [
-        _part("head", "skin", head.points, outside, weights, normals, _skin_tint(head), 6, moves["skin"], turns),
-        _part("mouth", "mouth", head.points, bag, weights, normals, None, 6, moves["skin"], turns),
+        _part("head", "skin", points, outside, weights, normals, _skin_tint(head), 6, skin_moves, turns),
+        _part("mouth", "mouth", points, bag, weights, normals, None, 6, skin_moves, turns),
         *(_piece_part(n, material.get(n, n), p, moves[n]) for n, p in pieces.items()),
         _piece_part("lashes", "lashes", lashes, moves["skin"][:, follows]),
     ]
@@ -312,7 +329,9 @@ def human() -> Character:
     parts += _face_parts()
     ear_points, ear_triangles, deep = human_features.ears()
     tint = 1 - deep[:, None] * np.array([0.03, 0.16, 0.15])
-    parts.append(_part("ears", "skin", ear_points, ear_triangles, _dense({"Head": 1}, len(ear_points)), colors=tint))
+    parts.append(
+        _part("ears", "skin", enlarged(ear_points), ear_triangles, _dense({"Head": 1}, len(ear_points)), colors=tint)
+    )
     hair = [human_hair.cap(), *human_hair.locks()]
     parts.append(_piece_part("hair", "hair", [Piece(p, t, {"Head": 1.0}) for p, t in hair]))
     return Character(skeleton(), tuple(parts), NAME, MORPHS, roles=roles())

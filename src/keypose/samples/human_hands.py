@@ -13,7 +13,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.samples.human_clothes import arm_weights
-from keypose.samples.skeleton import FINGERS, hand_axes, rest_positions
+from keypose.samples.skeleton import FINGERS, HAND_SCALE, hand_axes, rest_positions
 from keypose.samples.subdivision import Cage
 
 # Palm sections: five places across (thumb side first) of the back and of the palm, (towards the thumb, out of the palm).
@@ -57,7 +57,7 @@ def _finger_rings(finger: str, skip_base: bool) -> list[tuple[Floats, Floats, fl
     a, b, c, tip = p
     one, two, three = (f"LeftHand{finger}{n}" for n in (1, 2, 3))
     d1, d2, d3 = ((v / np.linalg.norm(v)) for v in (b - a, c - b, tip - c))
-    radius = _RADII[finger]
+    radius = _RADII[finger] * HAND_SCALE
     n1, n3 = float(np.linalg.norm(b - a)), float(np.linalg.norm(tip - c))
     rings = [
         (a + d1 * n1 * 0.52, d1, radius * 1.02, {one: 1.0}),
@@ -101,6 +101,7 @@ def hands() -> Cage:
     for number, (along, back, palm) in enumerate(_PALM):
         ring = [(along, *q) for q in back] + [(along, *q) for q in reversed(palm)]
         points = np.array(ring)
+        points *= (1.0, 1.02, HAND_SCALE, HAND_SCALE, HAND_SCALE)[number]
         weights: list[Mapping[str, float]] = [hand] * 10
         if number < 2:
             weights = [arm_weights(0.5 + along)] * 10

@@ -33,6 +33,7 @@ _CENTRE = (  # name, parent, place in metres
     ("Head", "Neck", (0.0, 1.45, -0.012)),
     ("Jaw", "Head", (0.0, 1.5, 0.005)),
 )
+JAW_HINGE = _CENTRE[-1][2]
 
 _SHOULDER = (0.155, 1.338, -0.016)
 _UPPER_ARM_M, _LOWER_ARM_M = 0.262, 0.238
@@ -55,10 +56,27 @@ _LEG = (
     ("LeftToeBase", "LeftFoot", (0.118, 0.026, 0.098)),
 )
 
+# Of the head at life size, see `enlarged`.
 EYE_CENTRE = (0.0385, 1.5415, 0.0645)
 EYE_RADIUS = 0.031
 HEAD_TOP = (0.0, 1.69, -0.02)
 TOE_END = (0.127, 0.022, 0.172)
+
+HAND_SCALE = 1.07  # a little larger than life: hands and head carry the acting
+HEAD_SCALE = 1.075
+_HEAD_PIVOT = np.array([0.0, 1.395, -0.025])
+
+
+def head_scale(points: Floats) -> Floats:
+    """How much larger than life the head is at points modelled at life size, (..., 1): 1 at the collar."""
+    u = np.clip((np.asarray(points, np.float64)[..., 1:2] - 1.35) / 0.07, 0.0, 1.0)
+    return 1.0 + (HEAD_SCALE - 1.0) * u * u * (3.0 - 2.0 * u)
+
+
+def enlarged(points: Floats) -> Floats:
+    """Where points of the head (..., 3), modelled at life size, lie on the character."""
+    return _HEAD_PIVOT + head_scale(points) * (points - _HEAD_PIVOT)
+
 
 _ROLES = {
     "Hips": "hips",
@@ -111,7 +129,7 @@ def _left_side() -> list[tuple[str, str, tuple[float, ...]]]:
         parent = "LeftHand"
         for number, (a, t, p) in enumerate(places[:3], start=1):
             name = f"LeftHand{finger}{number}"
-            joints.append((name, parent, tuple(wrist + a * along + t * thumb + p * palm)))
+            joints.append((name, parent, tuple(wrist + HAND_SCALE * (a * along + t * thumb + p * palm))))
             parent = name
     return [*joints, *_LEG]
 
@@ -120,7 +138,8 @@ def _finger_tips() -> dict[str, tuple[float, ...]]:
     """Tips of the fingers, relative to their last joints."""
     axes = np.stack(hand_axes())
     return {
-        f"LeftHand{finger}3": tuple((np.array(places[3]) - places[2]) @ axes) for finger, places in _FINGERS.items()
+        f"LeftHand{finger}3": tuple(HAND_SCALE * (np.array(places[3]) - places[2]) @ axes)
+        for finger, places in _FINGERS.items()
     }
 
 
@@ -144,7 +163,8 @@ def _table() -> list[tuple[str, str, tuple[float, ...]]]:
         for flip in (False, True)
         for n, p, x in limb
     ]
-    return [*_CENTRE, *eyes, *sides]
+    head = [(n, p, tuple(enlarged(np.array(x)))) for n, p, x in (*_CENTRE[5:], *eyes)]
+    return [*_CENTRE[:5], *head, *sides]
 
 
 @cache
@@ -160,7 +180,7 @@ def skeleton() -> Skeleton:
         np.tile(np.array([1, 0, 0, 0], np.float32), (len(names), 1)),
         np.ones((len(names), 3), np.float32),
     )
-    tips: dict[str, tuple[float, ...]] = {"Head": tuple(np.array(HEAD_TOP) - place["Head"])}
+    tips: dict[str, tuple[float, ...]] = {"Head": tuple(enlarged(np.array(HEAD_TOP)) - place["Head"])}
     tips["LeftToeBase"] = tuple(np.array(TOE_END) - place["LeftToeBase"])
     tips |= _finger_tips()
     tips |= {_mirrored(name): _mirror(tip) for name, tip in tips.items() if name.startswith("Left")}
