@@ -5,6 +5,7 @@ Source: glTF 2.0 Specification, section 3.5 (scenes, nodes, transformations).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -192,7 +193,7 @@ def _transform(node: Node, notes: Notes) -> tuple[Any, Any, Any]:
         return decompose(np.asarray(node.matrix).reshape(4, 4).T, node.where, notes)
     x, y, z, w = node.rotation or (0.0, 0.0, 0.0, 1.0)
     rotation = np.array([w, x, y, z])
-    length = np.linalg.norm(rotation)
+    length = math.hypot(x, y, z, w)
     if not 1e-30 < length < 1e30:
         notes.add(f"{node.where}: a rotation of length {length:.3g} was replaced by none")
         rotation = np.array([1.0, 0.0, 0.0, 0.0])

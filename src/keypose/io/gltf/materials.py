@@ -86,7 +86,7 @@ class Materials:
 
     def _resolved(self, item: Json) -> Any:
         """A JSON value whose texture references (objects under a name ending in "Texture") hold their image."""
-        value = item.value
+        value = item.object() if item.where.endswith("Texture") else item.value
         if isinstance(value, list):
             return [self._resolved(Json(v, f"{item.where}[{i}]")) for i, v in enumerate(value)]
         if not isinstance(value, dict):

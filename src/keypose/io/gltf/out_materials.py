@@ -107,7 +107,10 @@ class MaterialWriter:
                 self.extensions.update(members.get("extensions", {}))
                 return {"index": texture, **{k: self._written(v, what) for k, v in members.items()}}
             written = {k: self._written(v, what) for k, v in members.items() if k != "extras"}
-            written = {k: v for k, v in written.items() if v is not None}
+            lost = {
+                k for k, v in written.items() if k.endswith("Texture") and not (isinstance(v, dict) and "index" in v)
+            }
+            written = {k: v for k, v in written.items() if v is not None and k not in lost}
             if "extras" in members:
                 written["extras"] = plain_json(members["extras"], self._notes, what)
             return written
