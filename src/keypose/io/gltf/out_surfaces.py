@@ -37,11 +37,14 @@ class MeshGroup:
         return self.parts[0]
 
 
-def group_parts(character: Character) -> list[MeshGroup]:
+def group_parts(character: Character, notes: Notes) -> list[MeshGroup]:
     """The parts of a character in as few meshes as the format allows."""
     known = {name: joint for joint, name in enumerate(character.skeleton.names)}
     groups: dict[tuple[Any, ...], tuple[int | None, list[Part]]] = {}
     for part in character.parts:
+        if not len(part.mesh.triangles):
+            notes.add(f"part '{part.name}': it has no triangles and was left out")
+            continue
         joint = part.joint if part.skin is None else known.get(str(place_of(part).get("node")))
         key = (part.group, joint, _skin_key(part.skin), *_morph_key(part))
         groups.setdefault(key, (joint, []))[1].append(part)

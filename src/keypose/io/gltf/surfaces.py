@@ -96,6 +96,9 @@ class Surfaces:
         positions = source.floats("POSITION", "VEC3")
         count = len(positions)
         triangles = self._triangles(source, primitive, count)
+        if not len(triangles):
+            self._notes.add(f"{primitive.where}: it has no triangles and was dropped")
+            return None
         normals = source.floats("NORMAL", "VEC3") if "NORMAL" in primitive.attributes else None
         authored_normals = normals is not None
         if normals is None:

@@ -175,7 +175,7 @@ class _Writer:
             roots = [len(self._nodes)]
             self._nodes.append(wrapper)
         morph_nodes: list[tuple[int, Any]] = []
-        for group in group_parts(character):
+        for group in group_parts(character, self._notes):
             mesh = self._surfaces.mesh(character, group)
             node = None if group.joint is None else first + group.joint
             if node is None or "mesh" in self._nodes[node]:  # a node of its own for the mesh
