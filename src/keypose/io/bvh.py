@@ -22,8 +22,8 @@ from keypose.io.bvh_channels import (
     Positions,
     child_positions_rule,
     layout,
+    read_frames,
     root_positions_rule,
-    rotations_of,
     translations_of,
 )
 from keypose.io.bvh_text import BvhText, parse
@@ -90,7 +90,8 @@ class _Reader:
         self.offsets = np.array([joint.offset for joint in joints], np.float64)
         self.layout = layout([joint.channels or () for joint in joints])
         self.names = self.unique_names()
-        step = np.linspace(0, len(text.values) - 1, min(len(text.values), _SAMPLED_FRAMES))
+        self.rotations, self.positions = read_frames(text.blocks, text.frame_count, self.layout)
+        step = np.linspace(0, text.frame_count - 1, min(text.frame_count, _SAMPLED_FRAMES))
         self.sampled = np.unique(step.astype(np.intp))
 
     def scene(self, unit_m: float | None, up: str | None, child_positions: str, root_positions: str) -> Scene:
@@ -110,7 +111,7 @@ class _Reader:
         rate_hz = self.rate()
         extras = self.extras(unit_m, up, rest_turned, children, roots, rate_hz)
         character = Character(skeleton, name=self.name, extras={"bvh": extras})
-        motions = (self.motion(skeleton, unit_m, up, adds, rate_hz),) if len(self.text.values) and rate_hz else ()
+        motions = (self.motion(skeleton, unit_m, up, adds, rate_hz),) if self.text.frame_count and rate_hz else ()
         return Scene((character,), motions, "bvh", unit_m, up, tuple(self.notes))
 
     def unique_names(self) -> list[str]:
@@ -136,13 +137,13 @@ class _Reader:
         return names
 
     def child_rule(self, choice: str) -> Positions:
-        moving = [j for j in self.layout.moving if self.parents[j] >= 0]
-        if not moving or not len(self.text.values):
+        is_child = self.parents[self.layout.moving] >= 0
+        moving = self.layout.moving[is_child]
+        if not len(moving) or not self.text.frame_count:
             return "add" if choice == "add" else "replace"
-        columns = self.layout.position_columns[moving]
-        means = np.append(self.text.values.mean(axis=0), 0.0)[columns]
+        means = self.positions[:, is_child].mean(axis=0)
         # a component without a channel keeps its OFFSET and says nothing about the rule
-        offsets = np.where(columns < self.layout.column_count, self.offsets[moving], 0.0)
+        offsets = np.where(self.has_position()[moving], self.offsets[moving], 0.0)
         rule = (
             child_positions_rule(offsets, means)[0] if choice == "auto" else ("add" if choice == "add" else "replace")
         )
@@ -165,16 +166,16 @@ class _Reader:
         if choice != "auto" or not len(positions):
             return [j for j in roots if is_added[j]], positions
         added: list[int] = []
-        values = np.append(self.text.values[self.sampled], np.zeros((len(self.sampled), 1)), axis=1)
         tree = _trees(self.parents)
+        place = {int(joint): index for index, joint in enumerate(self.layout.moving)}
         for root in roots:
-            offset = np.where(self.layout.position_columns[root] < self.layout.column_count, self.offsets[root], 0.0)
+            offset = np.where(self.has_position()[root], self.offsets[root], 0.0)
             length = float(np.linalg.norm(offset))
             if length == 0:
                 continue
             body = positions[:, tree == root]
             lowest = (body @ (offset / length)).min(axis=1)
-            if root_positions_rule(offset, values[:, self.layout.position_columns[root]], lowest) == "add":
+            if root_positions_rule(offset, self.positions[self.sampled, place[root]], lowest) == "add":
                 added.append(root)
                 positions[:, tree == root] += offset
         if added:
@@ -190,13 +191,15 @@ class _Reader:
 
         if not len(self.sampled) or len(self.names) > 4096:
             return np.zeros((0, len(self.names), 3))
-        values = self.text.values[self.sampled]
         pose = Pose(
-            translations_of(values, self.layout, self.offsets, adds),
-            rotations_of(values, self.layout),
+            translations_of(self.positions[self.sampled], self.layout, self.offsets, adds),
+            self.rotations[self.sampled],
             np.ones((len(self.names), 3)),
         )
         return np.array(world(self.skeleton(1.0, "Y"), pose)[..., :3, 3])
+
+    def has_position(self) -> Flags:
+        return self.layout.position_columns < self.layout.column_count
 
     def rest_positions(self) -> Floats:
         positions = self.offsets.copy()
@@ -206,7 +209,7 @@ class _Reader:
         return positions
 
     def guessed_unit(self, adds: Flags) -> float:
-        first = translations_of(self.text.values[:1], self.layout, self.offsets, adds)
+        first = translations_of(self.positions[:1], self.layout, self.offsets, adds)
         lengths = first[0] if len(first) else self.offsets
         ends = [(joint, np.array(offset)) for joint, offset in self.text.hierarchy.end_sites]
         unit_m, note = guess_unit(self.parents.tolist(), lengths, ends)
@@ -224,8 +227,8 @@ class _Reader:
         return Skeleton(tuple(self.names), self.parents, rest, ends)
 
     def motion(self, skeleton: Skeleton, unit_m: float, up: str, adds: Flags, rate_hz: float) -> Motion:
-        rotations = rotations_of(self.text.values, self.layout)
-        translations = translations_of(self.text.values, self.layout, self.offsets, adds, unit_m)
+        rotations = self.rotations
+        translations = translations_of(self.positions, self.layout, self.offsets, adds, unit_m)
         if up != "Y":
             turned = Pose(translations, rotations, skeleton.rest.scales)
             pose = turn_roots(turned, self.parents, y_up_rotation(up))
@@ -268,8 +271,8 @@ class _Reader:
 def rate_from_frame_time(seconds: float, text: str) -> float:
     """The frame rate in Hz that a frame time stands for.
 
-    A frame time is a rounded or cut decimal number: where a whole or broadcast rate lies within one unit of its last
-    digit, that rate is meant; otherwise the number is taken as it is.
+    A frame time is a decimal number, rounded or cut: a usual, whole or broadcast rate that gives these digits is meant;
+    without one the number is taken as it is.
     """
     exact = 1.0 / seconds
     whole = round(exact)
@@ -277,14 +280,19 @@ def rate_from_frame_time(seconds: float, text: str) -> float:
         return float(whole)
     mantissa, _, exponent = text.lower().partition("e")
     digits = len(mantissa.partition(".")[2]) - (int(exponent) if exponent else 0)
-    last_digit = 10.0**-digits * (1 + 1e-6)
+    last_digit = 10.0**-digits
     relative = last_digit / seconds
     candidates: list[float] = []
     if relative < 0.07:
         candidates += sorted(_COMMON_RATES_HZ, key=lambda rate: abs(1 / rate - seconds))
     if relative < 0.005:
         candidates += [whole, *_BROADCAST_RATES_HZ]
-    return float(next((rate for rate in candidates if rate and abs(1 / rate - seconds) <= last_digit), exact))
+
+    def is_meant(rate: float) -> bool:
+        beyond = (1 / rate - seconds) / last_digit
+        return -0.5 - 1e-6 <= beyond <= 1 + 1e-6  # rounded to that digit, or cut after it
+
+    return float(next((rate for rate in candidates if rate and is_meant(rate)), exact))
 
 
 def _trees(parents: Ints) -> Ints:

@@ -6,7 +6,7 @@ rotation channels from left to right (``Zrotation Yrotation Xrotation`` is Rz Ry
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -68,39 +68,55 @@ def _rest_of(order: str) -> str:
     return "ZYX" if not order else "XYZ"
 
 
-def rotations_of(values: Floats, where: Layout) -> Floats:
-    """The rotations (T, J, 4) of all joints, sign-aligned along time.
+def read_frames(blocks: Iterable[Floats], frames: int, where: Layout) -> tuple[Floats, Floats]:
+    """The rotations (T, J, 4) of all joints, sign-aligned along time, and the positions (T, M, 3) of the moving ones.
 
-    Shapes and units: ``values`` (T, C), degrees.
+    Shapes and units: ``blocks`` of (N, C), T rows in all; angles in degrees, positions in the file's unit, 0 where a
+    component has no channel.
     """
-    frames, joints = len(values), len(where.orders)
-    if frames * joints > _SMALL_TURNS:
+    joints = len(where.orders)
+    rotations = np.empty((frames, joints, 4))
+    columns = where.position_columns[where.moving]
+    present = columns < where.column_count
+    positions = np.zeros((frames, len(columns), 3))
+    first = 0
+    for values in blocks:
+        _write_rotations(values, where, rotations, first)
+        positions[first : first + len(values), present] = values[:, columns[present]]
+        first += len(values)
+    return rotations, positions
+
+
+def _write_rotations(values: Floats, where: Layout, rotations: Floats, first: int) -> None:
+    if rotations.shape[0] * rotations.shape[1] > _SMALL_TURNS:
         from keypose.kernels.euler import quaternions_from_degrees
 
-        return quaternions_from_degrees(values, where.rotation_columns, where.orders)
+        quaternions_from_degrees(values, where.rotation_columns, where.orders, rotations, first)
+        return
+    frames = len(values)
     padded = np.concatenate([values, np.zeros((frames, 1))], axis=1)
-    rotations = np.empty((frames, joints, 4))
+    part = rotations[first : first + frames]
     for order in sorted(set(where.orders)):
         chosen = [j for j, other in enumerate(where.orders) if other == order]
-        rotations[:, chosen] = euler.to_quat(np.radians(padded[:, where.rotation_columns[chosen]]), order)
-    return quat.align_signs(rotations, axis=0) if frames else rotations
+        part[:, chosen] = euler.to_quat(np.radians(padded[:, where.rotation_columns[chosen]]), order)
+    before = max(first - 1, 0)  # the last row that is already there starts the run
+    rotations[before : first + frames] = quat.align_signs(rotations[before : first + frames], axis=0)
 
 
-def translations_of(values: Floats, where: Layout, offsets: Floats, adds: Flags, scale: float = 1.0) -> Floats:
+def translations_of(positions: Floats, where: Layout, offsets: Floats, adds: Flags, scale: float = 1.0) -> Floats:
     """The translations (T, J, 3) of all joints.
 
-    Shapes and units: ``values`` (T, C) and ``offsets`` (J, 3) in one unit; the result is ``scale`` times that unit.
-    ``adds`` (J,) is true where position channels are added to the offset instead of replacing it. A component
-    without a channel keeps its offset.
+    Shapes and units: ``positions`` (T, M, 3) as from `read_frames` and ``offsets`` (J, 3) in one unit; the result is
+    ``scale`` times that unit. ``adds`` (J,) is true where positions are added to the offset instead of replacing it. A
+    component without a channel keeps its offset.
     """
-    translations = np.empty((len(values), *offsets.shape))
+    translations = np.empty((len(positions), *offsets.shape))
     translations[:] = offsets * scale
-    for joint in where.moving:
+    for index, joint in enumerate(where.moving):
         for axis in range(3):
-            column = where.position_columns[joint, axis]
-            if column < where.column_count:
+            if where.position_columns[joint, axis] < where.column_count:
                 base = offsets[joint, axis] * scale if adds[joint] else 0.0
-                translations[:, joint, axis] = values[:, column] * scale + base
+                translations[:, joint, axis] = positions[:, index, axis] * scale + base
     return translations
 
 

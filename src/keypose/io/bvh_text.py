@@ -9,7 +9,7 @@ on BVH, with the variations found in the files of many exporters.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,19 +17,22 @@ import numpy as np
 from keypose.arrays import Floats
 from keypose.errors import FormatError
 from keypose.io.bvh_hierarchy import LARGEST, Hierarchy, Vector, parse_hierarchy
-from keypose.io.text import format_rows, line_of, parse_block, shown, to_number
+from keypose.io.text import SMALL_BYTES, format_rows, line_of, parse_block, shown, to_number
 
 # Joints without channels cost no bytes in the motion block, but memory in every frame: a file may ask for this many
 # bytes of poses per byte of its own (a joint of three rotations needs about two), and for _FREE_BYTES in any case.
 _BYTES_PER_BYTE = 64
 _FREE_BYTES = 1 << 26
 _DEEPEST_INDENT = 100
+# Large enough that the work per block does not show, small enough for the second-level cache.
+_BLOCK_BYTES = 1 << 19
 
 _MOTION = re.compile(rb"(?:\A|[\r\n])[ \t]*MOTION(?=\s|\Z)", re.IGNORECASE)
 _GAP = rb"\s*+(?:(?:#|//)[^\r\n]*+\s*+)*+"
 _FRAMES = re.compile(_GAP + rb"Frames[ \t]*:?[ \t]*([^\s]+)", re.IGNORECASE)
 _FRAME_TIME = re.compile(_GAP + rb"Frame[ \t]*Time[ \t]*:?[ \t]*([^\s]+)", re.IGNORECASE)
 _COMMENT = re.compile(rb"(?m)^[ \t]*+(?:#|//)[^\r\n]*+")
+_BLANK = re.compile(rb"[\x00-\x20]")
 _LINE = re.compile(rb"([^\r\n]*+)(?:\r\n?|\n|\Z)")
 
 
@@ -38,14 +41,18 @@ class BvhText:
     """What a BVH file says.
 
     Shapes and units:
-        hierarchy: J joints and their channels.
-        values: (T, C), degrees and the file's length unit; C is the number of channels of all joints.
+        hierarchy: J joints and their C channels.
+        frame_count: T; 0 where the file has no MOTION.
+        blocks: the frames as tables (N, C) of degrees and the file's length unit, one after the other, T rows in all.
+            They are read as they are asked for, so that large files are never in memory as a whole table; a fault is
+            raised where it is met.
         frame_time_s: with its text as written; None where the file has no MOTION.
         notes: what was odd.
     """
 
     hierarchy: Hierarchy
-    values: Floats
+    frame_count: int
+    blocks: Iterable[Floats]
     frame_time_s: float | None
     frame_time_text: str
     notes: list[str]
@@ -64,7 +71,7 @@ def parse(data: bytes, *, keep_whole_frames: bool = False) -> BvhText:
         raise FormatError("the text is UTF-16; expected UTF-8 or ASCII", where="line 1")
     motion = _MOTION.search(data)
     hierarchy = parse_hierarchy(data[: motion.start()] if motion else data)
-    text = BvhText(hierarchy, np.zeros((0, hierarchy.channel_count)), None, "", list(hierarchy.notes))
+    text = BvhText(hierarchy, 0, (), None, "", list(hierarchy.notes))
     if motion:
         _parse_motion(data, motion.end(), text, keep_whole_frames)
     else:
@@ -87,41 +94,159 @@ def _parse_motion(data: bytes, at: int, text: BvhText, keep_whole_frames: bool) 
         )
     text.frame_time_text = timed[1].decode("latin-1")
     text.frame_time_s = _frame_time(text.frame_time_text, f"line {line_of(data, timed.start(1))}")
-    start, channels, joints = timed.end(), text.hierarchy.channel_count, len(text.hierarchy.joints)
-    if announced * channels > len(data) and not keep_whole_frames:
-        raise FormatError(
-            f"Frames: {announced} frames of {channels} numbers cannot be in a file of {len(data)} bytes", where=where
-        )
-    values = _parse_values(data, start)
-    if channels == 0:
-        if len(values):
-            raise FormatError("numbers follow, but no joint has channels", where=f"line {line_of(data, start) + 1}")
+    motion = _Motion(data, timed.end(), text.hierarchy.channel_count, announced, where)
+    if motion.channels == 0:
+        motion.refuse_numbers()
         if announced:
             text.notes.append(f"no joint has channels: the {announced} frames hold nothing")
         return
-    if len(values) != announced * channels:
-        if not keep_whole_frames:
-            raise _wrong_count(data, start, announced, channels, len(values), where)
-        kept = len(values) // channels
-        text.notes.append(
-            f"Frames: says {announced}, but the file holds {len(values)} numbers: "
-            f"{kept} whole frames of {channels} kept, {len(values) - kept * channels} numbers dropped"
-        )
-        announced = kept
-    pose_bytes = announced * joints * 7 * 8
+    if keep_whole_frames:
+        text.blocks, text.frame_count = motion.kept(text.notes)
+    else:
+        # a number takes two bytes at least: what cannot be there must not ask for memory
+        if announced * motion.channels * 2 > len(data) - motion.start + 1:
+            raise motion.too_few()
+        text.blocks, text.frame_count = motion.blocks(), announced
+    joints = len(text.hierarchy.joints)
+    pose_bytes = text.frame_count * joints * 7 * 8
     if pose_bytes > max(_FREE_BYTES, _BYTES_PER_BYTE * len(data)):
         raise FormatError(
-            f"{announced} frames of {joints} joints, nearly all without channels, would take {pose_bytes >> 20} MiB",
+            f"{text.frame_count} frames of {joints} joints, nearly all without channels, "
+            f"would take {pose_bytes >> 20} MiB",
             where=where,
         )
-    text.values = values[: announced * channels].reshape(announced, channels)
-    # two reductions and no temporary array of the file's size; NaN cannot come from text that is all digits
-    if announced and (text.values.max() > LARGEST or text.values.min() < -LARGEST):
-        frame, channel = (int(i) for i in np.argwhere(np.abs(text.values) > LARGEST)[0])
-        raise FormatError(
-            f"frame {frame}, channel {channel}: {text.values[frame, channel]:g} is not within ±{LARGEST:g}",
-            where=f"line {_line_of_value(data, start, frame * channels + channel)}",
+
+
+class _Motion:
+    """The numbers behind Frame Time, cut into blocks that fit the processor's cache."""
+
+    def __init__(self, data: bytes, start: int, channels: int, announced: int, where: str) -> None:
+        self.data, self.start, self.channels, self.announced, self.where = data, start, channels, announced, where
+
+    def blocks(self) -> Iterator[Floats]:
+        """Whole frames, block by block; raises at the end where their number is not the announced one."""
+        found = 0
+        for values in self.tables():
+            found += len(values)
+            if found > self.announced:
+                raise self.wrong_count()
+            yield values
+        if found != self.announced or self.left_over:
+            raise self.wrong_count()
+
+    def kept(self, notes: list[str]) -> tuple[list[Floats], int]:
+        """All whole frames that are there, and their number."""
+        blocks = list(self.tables())
+        found = sum(map(len, blocks))
+        if found != self.announced or self.left_over:
+            notes.append(
+                f"Frames: says {self.announced}, but the file holds {found * self.channels + self.left_over} numbers: "
+                f"{found} whole frames of {self.channels} kept, {self.left_over} numbers dropped"
+            )
+        return blocks, found
+
+    def refuse_numbers(self) -> None:
+        """Without channels there must be none."""
+        for start, end in self.ranges():
+            if len(self.numbers(start, end)):
+                line = line_of(self.data, self.start) + 1
+                raise FormatError("numbers follow, but no joint has channels", where=f"line {line}")
+
+    def tables(self) -> Iterator[Floats]:
+        """Tables (N, C) of whole frames; a frame that lies across two blocks, or lines, is put together."""
+        rest = np.zeros(0)
+        self.left_over = 0
+        read = 0
+        for start, end in self.ranges():
+            values = self.numbers(start, end)
+            # two reductions and no temporary array; NaN cannot come from text that is all digits
+            if len(values) and (values.max() > LARGEST or values.min() < -LARGEST):
+                raise self.too_large(read, values)
+            read += len(values)
+            if len(rest):
+                values = np.concatenate([rest, values])
+            whole = len(values) // self.channels * self.channels
+            rest = values[whole:].copy()
+            if whole:
+                yield values[:whole].reshape(-1, self.channels)
+        self.left_over = len(rest)
+
+    def ranges(self) -> Iterator[tuple[int, int]]:
+        """Byte ranges of blocks, cut where a blank is."""
+        start = self.start
+        while start < len(self.data):
+            end = start + _BLOCK_BYTES
+            blank = _BLANK.search(self.data, end) if end < len(self.data) else None
+            end = blank.start() if blank else len(self.data)
+            yield start, end
+            start = end
+
+    def numbers(self, start: int, end: int) -> Floats:
+        """The numbers between two bytes, without comments."""
+        compiled = len(self.data) - self.start > SMALL_BYTES
+        values, wrong = parse_block(self.data, start, end, compiled=compiled)
+        if wrong >= 0 and self.data[wrong : wrong + 1] in (b"#", b"/"):
+            # comments keep their length, so that places in the text stay what they are; the copy serves later blocks too
+            comments = _COMMENT.sub(lambda comment: b" " * len(comment[0]), self.data[self.start :])
+            self.data = self.data[: self.start] + comments
+            values, wrong = parse_block(self.data, start, end, compiled=compiled)
+        if wrong >= 0:
+            word = self.data[wrong : wrong + 64].split(None, 1)[0]
+            hint = "; decimals are written with a point" if b"," in word else ""
+            where = f"line {line_of(self.data, wrong)}"
+            raise FormatError(f"expected a number, found {shown(word)}{hint}", where=where)
+        return values
+
+    def lines(self) -> Iterator[tuple[int, int]]:
+        """Line number and number count of every line that holds numbers."""
+        for number, line in enumerate(_LINE.finditer(self.data, self.start), line_of(self.data, self.start)):
+            count = len(line[1].split())
+            if count and not line[1].lstrip().startswith((b"#", b"//")):
+                yield number, count
+
+    def too_large(self, read: int, values: Floats) -> FormatError:
+        """The error for a number beyond all sense, ``read`` numbers before these."""
+        at = int(np.argmax(np.abs(values) > LARGEST))
+        frame, channel = divmod(read + at, self.channels)
+        return FormatError(
+            f"frame {frame}, channel {channel}: {values[at]:g} is not within ±{LARGEST:g}",
+            where=f"line {self.line_of_number(read + at)}",
         )
+
+    def line_of_number(self, index: int) -> int:
+        """The line of the index-th number."""
+        for number, count in self.lines():
+            if index < count:
+                return number
+            index -= count
+        return line_of(self.data, len(self.data))
+
+    def too_few(self) -> FormatError:
+        """The error for a frame count that cannot be; of a text that has other faults, those."""
+        numbers = self.announced * self.channels
+        for _ in self.tables():
+            pass
+        if self.announced < 2**31 and numbers < 4 * len(self.data):
+            return self.wrong_count()
+        return FormatError(
+            f"Frames: {self.announced} frames of {self.channels} numbers cannot be in a file of {len(self.data)} bytes",
+            where=self.where,
+        )
+
+    def wrong_count(self) -> FormatError:
+        """The error for more or fewer numbers than announced: the first line that differs, else the frame count."""
+        cure = "truncated='keep' loads the whole frames that are there"
+        lines = list(self.lines())
+        odd = next(((number, count) for number, count in lines if count != self.channels), None)
+        if odd and len(lines) > 1:
+            number, count = odd
+            last = " in the last line (the file was cut?)" if number == lines[-1][0] else ""
+            return FormatError(
+                f"expected {self.channels} numbers in each frame, found {count}{last}; {cure}", where=f"line {number}"
+            )
+        found = sum(count for _, count in lines)
+        held = f"{found} numbers ({found / self.channels:.6g} frames of {self.channels})"
+        return FormatError(f"Frames: says {self.announced}, but the file holds {held}; {cure}", where=self.where)
 
 
 def _frame_time(word: str, where: str) -> float:
@@ -134,56 +259,13 @@ def _frame_time(word: str, where: str) -> float:
     return seconds
 
 
-def _parse_values(data: bytes, start: int) -> Floats:
-    values, wrong = parse_block(data, start, len(data))
-    if wrong >= 0 and data[wrong : wrong + 1] in (b"#", b"/"):
-        blanked = _COMMENT.sub(lambda comment: b" " * len(comment[0]), data[start:])
-        values, wrong = parse_block(blanked, 0, len(blanked))
-        wrong = wrong + start if wrong >= 0 else wrong
-    if wrong >= 0:
-        word = data[wrong : wrong + 64].split(None, 1)[0]
-        hint = "; decimals are written with a point" if b"," in word else ""
-        raise FormatError(f"expected a number, found {shown(word)}{hint}", where=f"line {line_of(data, wrong)}")
-    return values
-
-
-def _data_lines(data: bytes, start: int) -> Iterator[tuple[int, int]]:
-    """Line number and number count of every line of the motion block that holds numbers."""
-    for number, line in enumerate(_LINE.finditer(data, start), line_of(data, start)):
-        count = len(line[1].split())
-        if count and not line[1].lstrip().startswith((b"#", b"//")):
-            yield number, count
-
-
-def _line_of_value(data: bytes, start: int, index: int) -> int:
-    for number, count in _data_lines(data, start):
-        if index < count:
-            return number
-        index -= count
-    return line_of(data, len(data))
-
-
-def _wrong_count(data: bytes, start: int, announced: int, channels: int, found: int, where: str) -> FormatError:
-    cure = "truncated='keep' loads the whole frames that are there"
-    lines = list(_data_lines(data, start))
-    odd = next(((number, count) for number, count in lines if count != channels), None)
-    if odd and len(lines) > 1:
-        number, count = odd
-        last = " in the last line (the file was cut?)" if number == lines[-1][0] else ""
-        return FormatError(
-            f"expected {channels} numbers in each frame, found {count}{last}; {cure}", where=f"line {number}"
-        )
-    held = f"{found} numbers ({found / channels:.6g} frames of {channels})"
-    return FormatError(f"Frames: says {announced}, but the file holds {held}; {cure}", where=where)
-
-
-def compose(text: BvhText, decimals: int) -> list[bytes]:
+def compose(hierarchy: Hierarchy, frame_time_text: str, values: Floats, decimals: int) -> list[bytes]:
     """The bytes of a BVH file, in pieces: the hierarchy, then the motion, with ``decimals`` digits after the point.
 
     Joints must be in depth-first order, as the format has them.
     """
     ends: dict[int, list[Vector]] = {}
-    for joint, offset in text.hierarchy.end_sites:
+    for joint, offset in hierarchy.end_sites:
         ends.setdefault(joint, []).append(offset)
     lines = ["HIERARCHY"]
     open_joints: list[int] = []
@@ -194,7 +276,7 @@ def compose(text: BvhText, decimals: int) -> list[bytes]:
             lines.extend((f"{tabs}End Site", f"{tabs}{{", f"{tabs}\tOFFSET {_offset(offset, decimals)}", f"{tabs}}}"))
         lines.append(f"{_tabs(len(open_joints))}}}")
 
-    for index, joint in enumerate(text.hierarchy.joints):
+    for index, joint in enumerate(hierarchy.joints):
         while open_joints and open_joints[-1] != joint.parent:
             close()
         tabs = _tabs(len(open_joints))
@@ -206,8 +288,8 @@ def compose(text: BvhText, decimals: int) -> list[bytes]:
         open_joints.append(index)
     while open_joints:
         close()
-    lines += ["MOTION", f"Frames: {len(text.values)}", f"Frame Time: {text.frame_time_text}", ""]
-    return ["\n".join(lines).encode(), format_rows(text.values, decimals)]
+    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {frame_time_text}", ""]
+    return ["\n".join(lines).encode(), format_rows(values, decimals)]
 
 
 def _tabs(depth: int) -> str:

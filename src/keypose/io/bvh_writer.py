@@ -20,7 +20,7 @@ from keypose.io.atomic import replacing
 from keypose.io.axes import checked_up, unit_in_metres, y_up_rotation
 from keypose.io.bvh_channels import Flags, child_positions_rule, layout, root_positions_rule, write_degrees
 from keypose.io.bvh_hierarchy import BvhJoint, Hierarchy
-from keypose.io.bvh_text import BvhText, compose
+from keypose.io.bvh_text import compose
 from keypose.math import quat
 from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
 
@@ -74,12 +74,14 @@ def write(
     unit_m = remembered.unit_m if unit is None else unit_in_metres(unit)
     up = remembered.up if up is None else checked_up(up)
     body = _body(character, motion, remembered, up, notes)
-    text = _text(body, remembered, order, motion.rate_hz, unit_m, notes)
+    hierarchy, values = _table(body, remembered, order, unit_m, notes)
+    same_rate = remembered.frame_time and remembered.rate_hz == motion.rate_hz
+    frame_time = remembered.frame_time if same_rate else f"{1 / motion.rate_hz:.12g}"
     if decimals is None:
         digits = int(np.ceil(np.log10(unit_m / _RESOLUTION_M) - 1e-9))
         decimals = min(max(6, digits) + (_depth(body.parents) > _DEEP_CHAIN), 9)
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.writelines(compose(text, decimals))
+        file.writelines(compose(hierarchy, frame_time, values, decimals))
     return tuple(notes)
 
 
@@ -214,9 +216,10 @@ def _body(character: Character, motion: Motion, remembered: _Remembered, up: str
     return body
 
 
-def _text(
-    body: _Body, remembered: _Remembered, order: str | None, rate_hz: float, unit_m: float, notes: list[str]
-) -> BvhText:
+def _table(
+    body: _Body, remembered: _Remembered, order: str | None, unit_m: float, notes: list[str]
+) -> tuple[Hierarchy, Floats]:
+    """The joints with their channels, in the file's unit, and the numbers (T, C) of all frames."""
     count = len(body.names)
     channels = [
         _channels(remembered, name, parent < 0, order) for name, parent in zip(body.names, body.parents, strict=True)
@@ -260,9 +263,7 @@ def _text(
         ],
         [(joint, _in_unit(np.array(offset), unit_m)) for joint, offset in _ends(body, remembered)],
     )
-    same_rate = remembered.frame_time and remembered.rate_hz == rate_hz
-    frame_time = remembered.frame_time if same_rate else f"{1 / rate_hz:.12g}"
-    return BvhText(hierarchy, values, 1 / rate_hz, frame_time, [])
+    return hierarchy, values
 
 
 def _largest_move(body: _Body) -> Floats:

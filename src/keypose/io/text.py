@@ -20,14 +20,15 @@ _DIGITS_AND_BLANKS = re.compile(rb"[\x00-\x20+\-.0-9eE]*+")
 _BLANKS = bytes(32 if code <= 32 else code for code in range(256))
 
 
-def parse_block(data: bytes, start: int, end: int) -> tuple[Floats, int]:
+def parse_block(data: bytes, start: int, end: int, *, compiled: bool | None = None) -> tuple[Floats, int]:
     """The blank-separated numbers of ``data[start:end]``, and the byte offset of the first word that is no number.
 
     Shapes and units:
         returns (N,) float64 and -1, or what came before the wrong word and its offset. Every byte up to 32 is a blank;
         ``nan``, ``inf``, hexadecimal and underscored numbers are wrong words.
+        ``compiled`` chooses the path; by default large blocks take the compiled one.
     """
-    if end - start > SMALL_BYTES:
+    if end - start > SMALL_BYTES if compiled is None else compiled:
         from keypose.kernels.text import parse_numbers
 
         return parse_numbers(data, start, end)

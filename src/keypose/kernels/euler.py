@@ -43,14 +43,18 @@ _HALF_PI, _QUARTER_PI = pi / 2, pi / 4
 _LOCK_NOISE = (32 * np.finfo(np.float64).eps) ** 2  # as in math.euler
 
 
-def quaternions_from_degrees(values: Any, columns: Any, orders: Sequence[str]) -> np.ndarray:
+def quaternions_from_degrees(
+    values: Any, columns: Any, orders: Sequence[str], out: np.ndarray | None = None, first: int = 0
+) -> np.ndarray:
     """Rotations of J joints whose angles stand in the columns of a table, sign-aligned along time.
 
     Shapes and units:
         values: (T, C) float64, degrees.
         columns: (J, 3), the columns of the three angles of each joint, in its order; C stands for an angle of 0.
         orders: J intrinsic orders of three different axes, "ZYX".
-        Returns (T, J, 4) wxyz.
+        out: (N, J, 4) float64, C-contiguous; rows ``first`` to ``first + T`` are written, their signs aligned with the
+            row before. Without it a new array is made.
+        Returns (T, J, 4) wxyz, a part of ``out`` where that is given.
     """
     table = np.ascontiguousarray(values, np.float64)
     places = np.ascontiguousarray(columns, np.int64)
@@ -62,9 +66,21 @@ def quaternions_from_degrees(values: Any, columns: Any, orders: Sequence[str]) -
     if places.size and (places.min() < 0 or places.max() > count):
         raise ShapeError(f"columns: expected 0 to {count}, got {int(places.min())} to {int(places.max())}")
     axes, parities = _axes(orders)
-    rotations = np.empty((frames, len(orders), 4))
-    _to_quaternions(_frozen(table), _frozen(places), _frozen(axes), _frozen(parities), rotations.reshape(-1), count)
-    return rotations
+    if out is None:
+        out, first = np.empty((frames, len(orders), 4)), 0
+    if out.dtype != np.float64 or not out.flags.c_contiguous or not out.flags.writeable:
+        raise ShapeError("out: expected a writable, C-contiguous float64 array")
+    if out.ndim != 3 or out.shape[1:] != (len(orders), 4) or not 0 <= first <= len(out) - frames:
+        raise ShapeError(
+            f"out: expected room for rows {first} to {first + frames} of ({len(orders)}, 4), got {out.shape}"
+        )
+    if count == 0:
+        out[first : first + frames] = (1.0, 0.0, 0.0, 0.0)
+    else:
+        _to_quaternions(
+            _frozen(table), _frozen(places), _frozen(axes), _frozen(parities), out.reshape(-1), count, first
+        )
+    return out[first : first + frames]
 
 
 def degrees_from_quaternions(rotations: Any, orders: Sequence[str], columns: Any, values: np.ndarray) -> np.ndarray:
@@ -187,12 +203,12 @@ def _arctan2(y, x, zero):
 
 
 @kernel
-def _to_quaternions(values, columns, axes, parities, rotations, count):
+def _to_quaternions(values, columns, axes, parities, rotations, count, first):
     joints = parities.shape[0]
     step = lanes(values)
     padded = (count // step + 1) * step
     row, sines, cosines = np.zeros(padded), np.zeros(padded), np.zeros(padded)
-    frames = 0 if joints == 0 else rotations.shape[0] // (4 * joints)
+    frames = values.shape[0] // count
     for t in range(frames):
         start = t * count
         whole = count // step * step
@@ -216,9 +232,9 @@ def _to_quaternions(values, columns, axes, parities, rotations, count):
             qi = c2 * sc + parity * s2 * cs
             qj = s2 * cc - parity * c2 * ss
             qk = c2 * cs + parity * s2 * sc
-            at = 4 * (t * joints + j)
+            at = 4 * ((first + t) * joints + j)
             i1, i2, i3 = at + axes[3 * j], at + axes[3 * j + 1], at + axes[3 * j + 2]
-            if t > 0:
+            if first + t > 0:
                 before = 4 * joints
                 dot = w * rotations[at - before]
                 dot += qi * rotations[i1 - before] + qj * rotations[i2 - before] + qk * rotations[i3 - before]
