@@ -85,6 +85,7 @@ def bones_figure(skeleton: Skeleton, theme: Theme) -> Figure | None:
     unit = _unit(places, lengths)
     axes = np.einsum("bji,bj->bi", rotations[joints], spans / lengths[:, None])
     girths = np.minimum(0.115 * lengths, 0.021 * unit)
+    girths[_leads(skeleton, joints, tips, lengths)] *= 0.22
 
     radii = np.full(skeleton.joint_count, np.inf)
     np.minimum.at(radii, joints, girths)
@@ -150,6 +151,17 @@ def _bones(skeleton: Skeleton, world: Floats) -> tuple[Ints, Ints, Floats]:
         joints, tips = np.concatenate([joints, leaves]), np.concatenate([tips, np.full(len(leaves), -1, np.int32)])
         ends = np.concatenate([ends, sites])
     return joints.astype(np.int32), tips.astype(np.int32), ends
+
+
+def _leads(skeleton: Skeleton, joints: Ints, tips: Ints, lengths: Floats) -> Array:
+    """Which bones only lead from a root on the floor to the hips: a lone, long first bone before a body branches off.
+
+    Drawn at full thickness they look like a third leg.
+    """
+    children = np.bincount(skeleton.parents[skeleton.parents >= 0], minlength=skeleton.joint_count)
+    lone = (skeleton.parents[joints] < 0) & (children[joints] == 1) & (tips >= 0)
+    branching = np.where(tips >= 0, children[tips], 0) >= 2
+    return lone & branching & (lengths > 3 * np.median(lengths))
 
 
 def _unit(places: Floats, lengths: Floats) -> float:

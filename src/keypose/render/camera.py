@@ -28,6 +28,7 @@ class View:
         center, radius: metres, a sphere that holds the subject at this moment (the key light shines on it).
         focus, reach: metres, the floor point in the middle of everything shown, and how far everything reaches.
         key, fill, rim: (3,) unit directions to the lights.
+        floor: metres, its height; ``above`` whether it is seen from above: from below it is not there.
         cell: metres between strong grid lines.
     """
 
@@ -44,6 +45,7 @@ class View:
     focus: Floats
     reach: float
     floor: float
+    above: bool
     cell: float
 
 
@@ -133,8 +135,8 @@ class Framing:
         center, radius = self._center + shift, self._radius
         eye = center + _turn(angle_deg) @ (self._eye - self._center)
         distance = float((eye - center) @ back)
-        # depth precision follows the subject; far enough for the floor to fade out before it ends
-        near = max(distance - 1.5 * self._reach, 0.02 * max(distance, self._reach), 1e-6)
+        # near enough for the floor before the subject, far enough for it to fade out before it ends
+        near = 0.02 * max(distance, self._reach)
         far = max(distance, 0.0) + 60 * max(self._reach, distance)
         if camera.orthographic:
             projection = _orthographic(self._view_height * self._aspect, self._view_height, -far, far)
@@ -158,6 +160,7 @@ class Framing:
             focus=np.array([center[0], stage.floor, center[2]]),
             reach=self._reach,
             floor=stage.floor,
+            above=bool(back[1] > 0 if camera.orthographic else eye[1] > stage.floor),
             cell=_cell(stage.height),
         )
 

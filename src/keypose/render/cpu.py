@@ -64,6 +64,7 @@ class CpuRenderer:
         settings = self.settings
         width, height = settings.width, settings.height
         frame = pack_frame(view, settings, width, height).astype(np.float64)
+        has_floor = settings.ground and view.above
         self._pose(moment)
         if settings.shadows:
             self._shadows(frame, view)
@@ -79,13 +80,13 @@ class CpuRenderer:
         starts, members = raster.bin_triangles(setups, _ROWS, bands)
         glass = self._glass(view)
         out = self.still_bytes.copy()
-        shadow_box = self._shadow_box(floor_from_pixel, view) if settings.shadows and settings.ground else _NOWHERE
+        shadow_box = self._shadow_box(floor_from_pixel, view) if settings.shadows and has_floor else _NOWHERE
         reach = float(np.abs(self.offsets).max())
 
         def band(index: int, room: tuple[Any, Any, Any]) -> None:
             top = index * _ROWS
             shade.compose_band(
-                frame, floor_from_pixel, floor_depth, settings.ground, settings.transparent, setups,
+                frame, floor_from_pixel, floor_depth, has_floor, settings.transparent, setups,
                 members[starts[index] : starts[index + 1]], self.owners, self.table, self.layers, self.ghost_count,
                 glass, self.triangles, self.world, self.normals, self.uvs, self.colors, self.texels, self.levels,
                 self.sun_depth, self.crisp, self.soft, self.contact, shadow_box, self.offsets, reach, self.still, top,
@@ -220,6 +221,7 @@ class CpuRenderer:
         self._spread(band, bands)
 
     def _backdrop(self, frame: Floats, view: View, floor_from_pixel: Floats) -> None:
+        has_floor = self.settings.ground and view.above
         key = np.concatenate([view.clip_from_world.ravel(), view.focus]).tobytes()
         if key == self.still_key:
             return
@@ -228,9 +230,7 @@ class CpuRenderer:
 
         def band(index: int, _room: object) -> None:
             bottom = min((index + 1) * _ROWS, height)
-            shade.draw_backdrop(
-                frame, floor_from_pixel, self.settings.ground, width, height, index * _ROWS, bottom, self.still
-            )
+            shade.draw_backdrop(frame, floor_from_pixel, has_floor, width, height, index * _ROWS, bottom, self.still)
 
         self._spread(band, -(-height // _ROWS))
         self.still_bytes[..., :3] = np.clip(self.still * 255 + 0.5, 0, 255)

@@ -24,6 +24,7 @@ from keypose.render.stage import Moment, Stage
 from keypose.render.surfaces import Surface, surfaces
 
 _MASK_SIZE, _SOFT_SIZE, _CONTACT_SIZE = 256, 128, 128
+_MAX_SAMPLES = 1 << 27  # of one picture: about 1 GiB of colour and depth
 _PALETTE_JOINTS = 64  # per line of the palette texture, three texels each
 _SRGB8_ALPHA8 = 0x8C43
 _SCREENS = ("mask", "blur", "sky", "reduce", "ground", "floor_depth", "shade", "still")  # drawn without buffers
@@ -168,12 +169,11 @@ class GlRenderer:
 
     def __init__(self, stage: Stage, settings: RenderSettings, supersample: int) -> None:
         ctx = self.ctx = context()
-        self.settings, self.block = settings, supersample
-        self.size = (settings.width * supersample, settings.height * supersample)
-        limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        if max(self.size) > limit:
-            self.block = max(1, limit // max(settings.width, settings.height))
-            self.size = (settings.width * self.block, settings.height * self.block)
+        self.settings = settings
+        self.block, self.samples = _sampling(
+            settings, supersample, int(ctx.info["GL_MAX_TEXTURE_SIZE"]), ctx.max_samples
+        )
+        self.size = (settings.width * self.block, settings.height * self.block)
         white = _texture(np.full((1, 1, 4), 255, np.uint8))
         self.meshes: list[_Mesh] = []
         joints = 0
@@ -188,13 +188,12 @@ class GlRenderer:
         self._make_targets()
 
     def _make_targets(self) -> None:
-        ctx, samples = self.ctx, min(8, self.ctx.max_samples)
-        if self.block > 1:
-            samples = min(4, samples)
+        ctx, samples = self.ctx, self.samples
         self.picture = ctx.texture(self.size, 4)
         self.still_picture = ctx.texture(self.size, 4)
         self.still = ctx.framebuffer([self.still_picture])
         self.kept_key = self.last_key = b""
+        self.has_floor = self.settings.ground
         self.resolved = ctx.framebuffer([self.picture])
         self.drawing = ctx.framebuffer(
             [ctx.renderbuffer(self.size, 4, samples=samples)], ctx.depth_renderbuffer(self.size, samples=samples)
@@ -234,6 +233,7 @@ class GlRenderer:
         ghosts = [m for m in self.meshes if m.surface.cast.ghost > 0]
         solid = [m for m in self.meshes if not m.surface.blended]
         glass = [m for m in self.meshes if m.surface.blended and m.surface.cast.ghost == 0]
+        self.has_floor = self.settings.ground and view.above
         standing = self._stands(view)
         if standing or ghosts:
             self._backdrop(standing)
@@ -415,12 +415,12 @@ class GlRenderer:
 
     def _floor(self, program: str) -> None:
         self.ctx.disable(self.ctx.CULL_FACE)
-        if self.settings.ground:
+        if self.has_floor:
             self.screens[program].render(self.ctx.TRIANGLE_STRIP, 4)
 
     def _shade(self) -> None:
         """The shadow on the floor."""
-        if not (self.settings.shadows and self.settings.ground):
+        if not (self.settings.shadows and self.has_floor):
             return
         ctx, shade = self.ctx, _program("shade")
         shade["near_cover"], shade["far_cover"], shade["contact"] = 0, 1, 2
@@ -450,6 +450,18 @@ class GlRenderer:
         self.ctx.enable(self.ctx.DEPTH_TEST)
         self.drawing.use()
         return True
+
+
+def _sampling(settings: RenderSettings, supersample: int, max_side: int, max_samples: int) -> tuple[int, int]:
+    """How many times larger the picture is drawn, and samples per pixel of that, within what the driver can hold."""
+    block = max(1, min(supersample, max_side // max(settings.width, settings.height)))
+    samples = min(8 if block == 1 else 4, max_samples)
+    pixels = settings.width * settings.height
+    while block > 1 and pixels * block**2 * samples > _MAX_SAMPLES:
+        block -= 1
+    while samples > 1 and pixels * block**2 * samples > _MAX_SAMPLES:
+        samples //= 2
+    return block, samples
 
 
 def blur_kernel(taps: int, sigma: float) -> Floats:

@@ -14,6 +14,7 @@ from keypose.errors import ShapeError, UnknownName
 
 BACKENDS = ("auto", "gl", "cpu")
 ARRANGEMENTS = ("auto", "as_is", "row")
+MAX_PIXELS = 1 << 26
 Rgb: TypeAlias = tuple[float, float, float]
 Picture: TypeAlias = NDArray[np.uint8]  # (H, W, 4), rows from top to bottom
 
@@ -244,6 +245,8 @@ class RenderSettings:
             if int(value) != value:
                 raise ShapeError(f"{name}: expected a whole number, got {value}")
             _check_range(name, value, 1, high)
+        if self.width * self.height > MAX_PIXELS:
+            raise ShapeError(f"width x height: expected at most {MAX_PIXELS} pixels, got {self.width}x{self.height}")
         _check_range("rate_hz", self.rate_hz, 0.1, 1000)
         _check_range("quality", self.quality, 0, 100)
         _check_range("turntable_s", self.turntable_s, 0.1, 3600)

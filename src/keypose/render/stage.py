@@ -130,7 +130,7 @@ class Stage:
     def _arranged(self, always: bool) -> tuple[Actor, ...]:
         """Side by side along X if they would stand inside each other."""
         times = np.linspace(self.start_s, self.end_s, 8)
-        boxes = [_bounds(_points(actor, times)) for actor in self.actors]
+        boxes = [_bounds(_actor_points(actor, times)) for actor in self.actors]
         overlap = any(_overlapping(a, b) for i, a in enumerate(boxes) for b in boxes[:i])
         if not (always or overlap):
             return self.actors
@@ -144,11 +144,21 @@ class Stage:
             cursor += width + gap
         return tuple(placed)
 
+    def _shape(self, drawn: Drawn, times_s: Floats) -> Floats:
+        """World positions (T, N, 3) of what is drawn."""
+        actor = self.actors[drawn.actor]
+        if drawn.figure is None:
+            return _actor_points(actor, times_s)
+        matrices = drawn.figure.matrices(actor.matrices(times_s))
+        points = _points(drawn.figure.character, matrices, np.zeros((len(times_s), 0)))
+        return matrices[..., :3, 3] if points is None else points
+
     def _survey(self) -> None:
         """Measure the performance: points at several moments, size of the subject, floor, how far it travels."""
         times = np.linspace(self.start_s, self.end_s, _SURVEY_SAMPLES if self.end_s > self.start_s else 1)
         self.survey_times = times
-        self.survey_points = np.concatenate([_points(actor, times) for actor in self.actors], axis=1)
+        shown = [d for d in self.drawn if not d.overlay and d.ghost == 0]
+        self.survey_points = np.concatenate([self._shape(d, times) for d in shown], axis=1)
         if not np.all(np.isfinite(self.survey_points)):
             raise ShapeError("render: the animation moves the character to places that are not finite numbers")
         low, high = self.survey_points.min(axis=1), self.survey_points.max(axis=1)
@@ -163,8 +173,6 @@ class Stage:
             self.floor = self.settings.floor
         middles = (low + high) / 2
         self.travel = float(np.linalg.norm(np.ptp(middles[:, [0, 2]], axis=0)))
-        radii = np.linalg.norm(self.survey_points - middles[:, None], axis=2).max(axis=1)
-        self.radius = float(radii.max())
 
 
 def _cast(scene: Scene, animation: str | Animation | Sequence[Animation | None] | None) -> tuple[Actor, ...]:
@@ -221,10 +229,15 @@ def _drawn(actors: Sequence[Actor], settings: RenderSettings) -> tuple[Drawn, ..
     return tuple(drawn)
 
 
-def _points(actor: Actor, times_s: Floats) -> Floats:
-    """World positions (T, N, 3) that stand for the actor's shape at T times."""
-    world, weights = actor.matrices(times_s), actor.morph_weights(times_s)
-    character = actor.character
+def _actor_points(actor: Actor, times_s: Floats) -> Floats:
+    """World positions (T, N, 3) that stand for the actor's shape at T times: of its mesh, or of its joints."""
+    world = actor.matrices(times_s)
+    points = _points(actor.character, world, actor.morph_weights(times_s))
+    return world[..., :3, 3] if points is None else points
+
+
+def _points(character: Character, world: Floats, weights: Floats) -> Floats | None:
+    """World positions (T, N, 3) of some of a character's vertices; None where it has no triangles."""
     clouds: list[Floats] = []
     for part in character.parts:
         used = np.unique(part.mesh.triangles)
@@ -241,13 +254,8 @@ def _points(actor: Actor, times_s: Floats) -> Floats:
             rows = np.asarray(part.skin.weights, np.float32)[used]
             blended = np.einsum("vk,tvkij->tvij", rows, palette[:, part.skin.joints[used]], optimize=True)
         points = (blended[..., :3, :3] @ positions[..., None])[..., 0] + blended[..., :3, 3]
-        clouds.append(np.broadcast_to(points, (len(times_s), *points.shape[1:])))
-    if not clouds:
-        clouds.append(world[..., :3, 3])
-        for joint, offset in character.skeleton.end_offsets:
-            tip = world[:, joint, :3, :3] @ np.asarray(offset, np.float32) + world[:, joint, :3, 3]
-            clouds.append(tip[:, None])
-    return np.concatenate(clouds, axis=1)
+        clouds.append(np.broadcast_to(points, (len(world), *points.shape[1:])))
+    return np.concatenate(clouds, axis=1) if clouds else None
 
 
 def _root(character: Character) -> int:
