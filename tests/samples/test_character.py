@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -238,3 +239,15 @@ def test_every_joint_but_the_eyes_moves_something(character: Character) -> None:
     total = sum(_dense(character, p.name).sum(0) for p in character.parts)
     still = [n for n, t in zip(character.skeleton.names, total, strict=True) if t < 1e-3]
     assert not still
+
+
+# --- documentation ---------------------------------------------------------------------------------------------------
+
+
+def test_the_page_lists_what_there_is(character: Character) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "character.md").read_text(encoding="utf-8")
+    for name in (*character.morph_names, *(p.name for p in character.parts)):
+        assert f"`{name}`" in page, name
+    for name in character.skeleton.names:
+        assert name.startswith("Right") or f"| `{name}` |" in page, name
+    assert f"{character.triangle_count} triangles, {character.vertex_count} vertices" in page

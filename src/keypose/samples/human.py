@@ -260,7 +260,7 @@ def _soft_normals(points: Floats, triangles: Ints) -> Floats:
     normals = vertex_normals(points, triangles)
     out = points - enlarged(np.array([0.0, 1.565, -0.015]))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
-    lean = 0.9 * smoothstep(-0.35, 0.15, np.sum(normals * out, 1))
+    lean = smoothstep(-0.55, 0.05, np.sum(normals * out, 1))
     normals = normals + lean[:, None] * out
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

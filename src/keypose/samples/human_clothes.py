@@ -119,8 +119,8 @@ def arm_point(s: float, angle: float, radius: float) -> Floats:
 
 # distance along the arm on top and below, radius across the arm and towards the front, group of the quads that follow
 _SLEEVE = (
-    (0.016, 0.090, 0.0610, 0.0615, "sleeve"),
-    (0.078, 0.122, 0.0575, 0.0590, "sleeve"),
+    (0.012, 0.090, 0.0550, 0.0605, "sleeve"),
+    (0.070, 0.122, 0.0565, 0.0585, "sleeve"),
     (0.136, 0.152, 0.0540, 0.0555, "sleeve"),
     (0.190, 0.196, 0.0515, 0.0530, "sleeve"),
     (0.234, 0.230, 0.0510, 0.0525, "sleeve"),
@@ -164,7 +164,7 @@ def _sleeve(cage: Cage, hole: Sequence[int]) -> None:
         weights = [arm_weights(float(s)) for s in along]
         if number < 2:  # the cap of the shoulder and the armpit still follow the trunk a little
             trunk = {"LeftShoulder": 0.62, "Spine2": 0.38}
-            shares = (0.30 + 0.10 * lean, 0.04 + 0.08 * lean)[number]
+            shares = (0.42 - 0.02 * lean, 0.12 + 0 * lean)[number]
             weights = [_mix(w, trunk, float(u)) for w, u in zip(weights, shares, strict=True)]
         ring = cage.ring(points, weights)
         cage.bridge(previous, ring, group)

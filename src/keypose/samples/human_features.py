@@ -141,7 +141,7 @@ def teeth(upper: bool) -> Piece:
     full = 0.55 + 0.45 * np.sqrt(1 - notch**4)
     root = MOUTH_Y + (0.0120 if upper else -0.0135)
     edge = MOUTH_Y + (-0.0042 if upper else -0.0034)
-    edge = edge + (0.0011 if upper else -0.0009) * (1 - full) / 0.45 + (0.0020 if upper else -0.0012) * u**4
+    edge = edge + (0.0011 if upper else -0.0009) * (1 - full) / 0.45 + (0.0058 if upper else 0.0020) * u**2
     profile = ((0.0, 0.0), (0.0024, 0.3), (0.0024, 0.75), (0.0008, 1.0), (-0.0014, 0.97), (-0.0026, 0.0))
     rings = np.empty((steps, len(profile), 3))
     for k, (out, down) in enumerate(profile):
