@@ -26,17 +26,28 @@ _NONE, _STATIC, _MOVING = 0, 1, 2  # how a kind of local transform is given: not
 
 
 def rotations_positions(
-    parents: Any, rotations: Any, translations: Any, roots: Any | None = None
+    parents: Any,
+    rotations: Any,
+    translations: Any,
+    roots: Any | None = None,
+    out: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rotations and positions of all joints in the model's space.
 
     Shapes and units: rotations (F, J, 4); translations (F, J, 3), or (J, 3) for bones that keep their lengths; roots,
-    if given, (F, 3) translations of the root joints. Metres. Returns (F, J, 4) and (F, J, 3) in the rotations' type.
+    if given, (F, 3) translations of the root joints. Metres. Returns (F, J, 4) and (F, J, 3) in the rotations' type;
+    in ``out`` if given.
 
     Source: lecture notes, "Skeletal Animation": ``P = R0 (R1 (O2) + O1) + O0``.
     """
     clip = _Clip(parents, rotations, translations, None, roots)
-    turned, moved = np.empty(clip.shape(4), clip.dtype), np.empty(clip.shape(3), clip.dtype)
+    if out is None:
+        turned, moved = np.empty(clip.shape(4), clip.dtype), np.empty(clip.shape(3), clip.dtype)
+    else:
+        turned, moved = out
+        for array, width in zip(out, (4, 3), strict=True):
+            if array.shape != clip.shape(width) or array.dtype != clip.dtype or not array.flags.carray:
+                raise ShapeError(f"out: expected {clip.shape(width)} of {clip.dtype}, got {array.shape}")
     if turned.size:
         _turn_and_move(
             clip.parents, clip.rotations, clip.translations, clip.moving, clip.roots, clip.has_roots, clip.frames,

@@ -54,7 +54,7 @@ from keypose.kernels.vectors import (
 )
 
 __all__ = [
-    "CompiledClips", "Mix", "animate_crowd", "animate_one", "compile_clips", "mix", "sample", "slerp", "slerp_lanes",
+    "CompiledClips", "Mix", "animate_crowd", "animate_one", "compile_clips", "mix", "sample", "sample_rows", "single_character", "slerp", "slerp_lanes",
 ]  # fmt: skip
 
 _ROWS = 7  # w x y z, translation
@@ -83,7 +83,7 @@ def animate_one(clips: CompiledClips, state: Mix, out: np.ndarray | None = None)
     shape = (clips.joint_count, 4, 4)
     out = aligned(clips.joint_count * 16).reshape(shape) if out is None else out
     _check_out(out, shape)
-    if not _animate_single(clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out):
+    if not single_character(clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out):
         _refuse(clips, state)
     return out
 
@@ -99,6 +99,17 @@ def sample(clips: CompiledClips, state: Mix) -> tuple[np.ndarray, np.ndarray]:
     sorted_back[:, :, clips.order] = poses[:, :, :joints]
     rows = sorted_back.transpose(0, 2, 1)
     return np.ascontiguousarray(rows[..., :4]), np.ascontiguousarray(rows[..., 4:])
+
+
+def sample_rows(clips: CompiledClips, state: Mix, out: np.ndarray) -> None:
+    """As `sample`, left in the layout of the kernels: character c writes rows of joints to ``out[c % len(out)]``.
+
+    Shapes: out (slots, 7, padded) float32; joints in the order of ``clips.order``. Translations that never move are not
+    written; they are ``clips.rest``.
+    """
+    _check_out(out, (len(out), _ROWS, clips.padded))
+    if not _sample_poses(clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out):
+        _refuse(clips, state)
 
 
 def _check_out(out: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -281,7 +292,7 @@ def _animate_blocks(rotations, scale, handles, frames, shares, out):
 
 
 @kernel
-def _animate_single(rotations, scale, handles, frames, shares, out):
+def single_character(rotations, scale, handles, frames, shares, out):
     """The whole chain for the first character. False if a frame does not exist, or the character."""
     joints, padded, moving = handles[JOINTS], handles[PADDED], handles[MOVING]
     before, parts, models = pointer(frames), pointer(shares), pointer(out)

@@ -16,7 +16,7 @@ import numpy as np
 from keypose.errors import ShapeError
 from keypose.kernels.rotations import load4, store4
 from keypose.kernels.runtime import WIDTH, inlined, kernel, readable
-from keypose.kernels.vectors import absolute, flip_sign, load, load_quads, store_quads
+from keypose.kernels.vectors import absolute, flip_sign, load, load_quads, pointer, store_quads
 
 _LAST = 1.85298109240830  # Eberly, table 1: takes the place of the terms left out
 _U = [np.float32((_LAST if k == 8 else 1.0) / (k * (2 * k + 1))) for k in range(1, 9)]
@@ -55,11 +55,9 @@ def slerp_lanes(a: np.ndarray, b: np.ndarray, t: np.ndarray, out: np.ndarray | N
         ("t", t, (count,)),
         ("out", out, (4, count)),
     ):
-        if array.shape != shape or array.dtype != np.float32 or count % WIDTH:
+        if array.shape != shape or array.dtype != np.float32 or not array.flags.c_contiguous or count % WIDTH:
             raise ShapeError(f"{name}: expected {shape} of float32, a multiple of {WIDTH}, got {array.shape}")
-    if not out.flags.c_contiguous:
-        raise ShapeError("out: expected a contiguous array")
-    _slerp_rows(*(readable(x, np.float32) for x in (a, b, t)), out.reshape(-1))
+    _slerp_rows(a, b, t, out)
     return out
 
 
@@ -100,6 +98,7 @@ def _slerp_quads(a, b, t, out):
 @kernel
 def _slerp_rows(a, b, t, out):
     count = t.shape[0]
+    a, b, t, out = pointer(a), pointer(b), pointer(t), pointer(out)
     for at in range(0, count, WIDTH):
         aw, ax, ay, az = load4(a, at, count)
         bw, bx, by, bz = load4(b, at, count)

@@ -1,0 +1,43 @@
+"""Benchmarks that print ratios: our kernels beside other libraries, plain NumPy and the machine's own limits.
+
+run("kernels")   every kernel against the same work in plain NumPy, and what the machine can do at best
+run("bvh")       reading and writing BVH files against pybvh and PyMotion
+run("fk")        forward kinematics of a clip against PyMotion
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from keypose.bench.suite import Result, Suite
+from keypose.errors import UnknownName
+
+__all__ = ["SUITES", "Result", "run"]
+
+SUITES = ("kernels", "bvh", "fk")
+
+
+def run(name: str | None = None, json_path: str | Path | None = None, rounds: int = 15) -> list[Result]:
+    """Run one suite, or all of them, print a table and write the results as JSON if asked.
+
+    A result's ``ratio`` is above 1 where keypose is ahead of its reference. Every value is the 25th percentile over the
+    rounds; the rounds run all cases in turn, so that a slow moment of the machine does not hit one case only.
+
+    Raises:
+        UnknownName: for a suite that does not exist.
+    """
+    if name is not None and name not in SUITES:
+        raise UnknownName("benchmark", name, SUITES)
+    suite = Suite()
+    if name in (None, "kernels"):
+        from keypose.bench import kernels
+
+        kernels.add(suite)
+    if name in (None, "bvh", "fk"):
+        from keypose.bench import peers
+
+        if name != "fk":
+            peers.add_bvh(suite)
+        if name != "bvh":
+            peers.add_fk(suite)
+    return suite.run(rounds, None if json_path is None else Path(json_path))

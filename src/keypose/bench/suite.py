@@ -1,0 +1,207 @@
+"""The cases of a benchmark: how they are checked, timed in turn, shown and stored."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keypose.errors import KeyposeError
+
+# Seconds of this thread where the clock is fine enough: what other programs do meanwhile does not count.
+_FINE = time.get_clock_info("thread_time").resolution < 1e-6
+_clock = time.thread_time if _FINE else time.perf_counter
+
+_ROUND_S = 3e-3  # a case is repeated until one round takes about this long
+_REFERENCE_ROUNDS = 3
+
+# seconds per item -> what is shown
+_PER_ITEM = {"ns/character": 1e9, "ns/vertex": 1e9, "ms": 1e3}
+_PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One row: ``value`` is the 25th percentile over the rounds; ``ratio`` > 1 is ahead of ``reference``."""
+
+    name: str
+    unit: str
+    value: float | None
+    median: float | None
+    reference: float | None
+    ratio: float | None
+    against: str = ""
+    note: str = ""
+
+
+@dataclass(slots=True)
+class Case:
+    """Something to time: ``call`` handles ``count`` items (or bytes, or operations)."""
+
+    name: str
+    unit: str
+    count: float
+    call: Callable[[], Any]
+    against: str = ""
+    reference: Callable[[], Any] | None = None
+    reference_count: float = 0.0
+    note: str = ""
+    times: int = 1
+    seconds: list[float] = field(default_factory=list[float])
+    reference_seconds: list[float] = field(default_factory=list[float])
+
+    def shown(self, seconds: float, count: float) -> float:
+        """Seconds per call in the case's unit."""
+        each = seconds / count
+        return each * _PER_ITEM[self.unit] if self.unit in _PER_ITEM else _PER_SECOND[self.unit] / each
+
+
+class BenchmarkError(KeyposeError):
+    """A kernel's result is not what plain NumPy computes; timing it would mean nothing."""
+
+
+class Suite:
+    """Checks and cases, collected first and run together."""
+
+    def __init__(self) -> None:
+        self.cases: list[Case] = []
+        self.missing: list[Result] = []
+
+    def check(self, name: str, error: float, limit: float) -> None:
+        """Refuse to time what computes something else; raises `BenchmarkError`."""
+        if not error <= limit:
+            raise BenchmarkError(f"{name}: differs from the reference by {error:.3g}, expected at most {limit:g}")
+
+    def case(
+        self,
+        name: str,
+        unit: str,
+        count: float,
+        call: Callable[[], Any],
+        reference: Callable[[], Any] | None = None,
+        against: str = "NumPy",
+        reference_count: float | None = None,
+        note: str = "",
+    ) -> None:
+        """Add a case, with the same work done by something else (on ``reference_count`` items)."""
+        counted = count if reference_count is None else reference_count
+        self.cases.append(Case(name, unit, count, call, against if reference else "", reference, counted, note))
+
+    def absent(self, name: str, unit: str, against: str) -> None:
+        """A row for a library that is not installed."""
+        self.missing.append(Result(name, unit, None, None, None, None, against, "not installed"))
+
+    def run(self, rounds: int, json_path: Path | None = None) -> list[Result]:
+        """Time all cases in turn; show the table; write the JSON."""
+        self._measure(rounds)
+        results = [_result(case) for case in self.cases] + self.missing
+        _show(results)
+        if json_path is not None:
+            _write(json_path, results, rounds)
+        return results
+
+    def _measure(self, rounds: int) -> None:
+        for case in self.cases:
+            _time(case.call, 1)
+            once = min(_time(case.call, 1) for _ in range(3))
+            case.times = max(1, int(_ROUND_S / max(once, 1e-7)))
+            if case.reference is not None:
+                _time(case.reference, 1)
+        for number in range(rounds):
+            for case in self.cases:
+                # The case before has emptied the caches; a large output needs a few calls to be back in them.
+                _time(case.call, 1 if case.times > 4 else 4 if case.unit != "ms" else 1)
+                case.seconds.append(_time(case.call, case.times))
+                # References are slow, so they get fewer rounds; where they get as many, they stand beside ours in each.
+                if case.reference is not None and (case.unit == "ms" or number < _REFERENCE_ROUNDS):
+                    case.reference_seconds.append(_time(case.reference, 1))
+
+
+def host() -> dict[str, Any]:
+    """What the results depend on."""
+    import numba
+    from llvmlite import binding
+
+    from keypose import __version__
+    from keypose.kernels.runtime import WIDTH
+
+    return {
+        "lanes": WIDTH,
+        "cpu": binding.get_host_cpu_name(),
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "keypose": __version__,
+    }
+
+
+def _time(call: Callable[[], Any], times: int) -> float:
+    start = _clock()
+    for _ in itertools.repeat(None, times):
+        call()
+    return (_clock() - start) / times
+
+
+def _result(case: Case) -> Result:
+    value, median = (case.shown(float(np.percentile(case.seconds, p)), case.count) for p in (25, 50))
+    reference = ratio = None
+    if case.reference_seconds:
+        reference = case.shown(float(np.percentile(case.reference_seconds, 25)), case.reference_count)
+        ratio = reference / value if case.unit in _PER_ITEM else value / reference
+    return Result(case.name, case.unit, value, median, reference, ratio, case.against, case.note)
+
+
+def _show(results: list[Result]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("case", no_wrap=True)
+    for title in ("value", "median", "reference", "ratio"):
+        table.add_column(title, justify="right")
+    table.add_column("unit", no_wrap=True)
+    table.add_column("against", no_wrap=True)
+    for r in results:
+        ratio = Text("" if r.ratio is None else f"{r.ratio:.3g}x")
+        if r.ratio is not None:
+            ratio.stylize("bold green" if r.ratio >= 1.05 else "yellow" if r.ratio >= 0.95 else "bold red")
+        numbers = ("" if n is None else _readable(n) for n in (r.value, r.median, r.reference))
+        table.add_row(r.name, *numbers, ratio, r.unit, Text(f"{r.against} {r.note}".strip(), style="dim"))
+    where = host()
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)  # in a file or a pipe, one line per row
+    console.print(table)
+    console.print(
+        f"[dim]{where['cpu']}, {where['lanes']} float32 lanes, one thread; Python {where['python']}, "
+        f"Numba {where['numba']}, NumPy {where['numpy']}. A ratio above 1 is ahead of the reference.[/dim]"
+    )
+
+
+def _readable(number: float) -> str:
+    return f"{number / 1e6:.4g}M" if number >= 1e6 else f"{number:.4g}"
+
+
+def _write(path: Path, results: list[Result], rounds: int) -> None:
+    rows = [
+        {
+            "name": r.name, "unit": r.unit, "value": r.value, "median": r.median, "reference": r.reference,
+            "ratio": r.ratio, "against": r.against, "note": r.note,
+        }
+        for r in results
+    ]  # fmt: skip
+    content = json.dumps({"host": {**host(), "rounds": rounds}, "results": rows}, indent=1) + "\n"
+    from keypose.io.atomic import replacing
+
+    with replacing(path) as temporary:
+        temporary.write_text(content)
