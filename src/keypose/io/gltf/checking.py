@@ -10,6 +10,8 @@ from typing import Any, NoReturn, cast
 
 from keypose.errors import FormatError
 
+LARGEST = 2**53  # of integers that every JSON reader keeps exactly
+
 
 class UniqueNames:
     """Gives every name once: the second "arm" becomes "arm_2"."""
@@ -101,7 +103,9 @@ class Json:
     def get(self, key: str) -> Json | None:
         """A member, or None where it is missing."""
         members = self.object()
-        return Json(members[key], f"{self.where}.{key}" if self.where else key) if key in members else None
+        if key not in members:
+            return None
+        return Json(members[key], f"{self.where}.{key}" if self.where else key)
 
     def need(self, key: str) -> Json:
         """A member that has to be there."""
@@ -127,15 +131,18 @@ class Json:
 
     def text(self, key: str, default: str | None = None) -> str:
         """A text member; it has to be there where no default is given."""
-        member = self.get(key)
-        if member is None and default is not None:
+        value = self.object().get(key)
+        if isinstance(value, str):  # the common case, without building the place of an error
+            return value
+        if default is not None and key not in self.object():
             return default
         return cast("str", self.need(key)._typed(str, "a text"))
 
     def flag(self, key: str) -> bool:
         """A true-or-false member, false where it is missing."""
-        member = self.get(key)
-        return False if member is None else cast("bool", member._typed(bool, "true or false"))
+        if key not in self.object():
+            return False
+        return cast("bool", self.need(key)._typed(bool, "true or false"))
 
     def as_integer(self, least: int = 0, limit: int | None = None, what: str = "") -> int:
         """This value as an integer in ``least <= value < limit``."""
@@ -150,20 +157,33 @@ class Json:
             self.fail(f"expected {least} to {limit - 1}, got {_short(value)}")
         if value < least:
             self.fail(f"expected {least} or more, got {_short(value)}")
-        if value >= 2**53:
+        if value >= LARGEST:
             self.fail(f"{_short(value)} is too large")
         return value
 
     def integer(self, key: str, default: int | None = None, least: int = 0, limit: int | None = None) -> int:
         """An integer member; it has to be there where no default is given."""
+        value = self.object().get(key)
+        if type(value) is int and least <= value < (LARGEST if limit is None else limit):
+            return value  # the common case, without building the place of an error
         if default is not None and key not in self.object():
             return default
         return self.need(key).as_integer(least, limit)
 
     def index(self, key: str, limit: int, what: str) -> int | None:
         """An index member into the file's list of ``what``; None where it is missing."""
+        value = self.object().get(key)
+        if type(value) is int and 0 <= value < limit:
+            return value
         member = self.get(key)
         return None if member is None else member.as_integer(0, limit, what)
+
+    def to(self, key: str, limit: int, what: str) -> int:
+        """An index member that has to be there."""
+        index = self.index(key, limit, what)
+        if index is None:
+            self.fail(f"'{key}' is missing")
+        return index
 
     def as_number(self) -> float:
         """This value as a finite number."""

@@ -336,7 +336,7 @@ def _buffer(item: Json, sizes: Mapping[str, int]) -> Buffer:
 def _view(item: Json, sizes: Mapping[str, int]) -> BufferView:
     packed = _extension(item, *MESHOPT)
     return BufferView(
-        buffer=item.need("buffer").as_integer(0, sizes["buffers"], "buffer"),
+        buffer=item.to("buffer", sizes["buffers"], "buffer"),
         offset=item.integer("byteOffset", 0),
         length=item.integer("byteLength"),
         stride=item.integer("byteStride", least=1, limit=256) if "byteStride" in item.object() else None,
@@ -352,7 +352,7 @@ def _compressed(item: Json, sizes: Mapping[str, int]) -> Compressed:
     if filter not in ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"):
         item.fail(f"unknown filter '{filter[:40]}'")
     return Compressed(
-        buffer=item.need("buffer").as_integer(0, sizes["buffers"], "buffer"),
+        buffer=item.to("buffer", sizes["buffers"], "buffer"),
         offset=item.integer("byteOffset", 0),
         length=item.integer("byteLength"),
         stride=item.integer("byteStride", least=1, limit=257),
@@ -393,10 +393,10 @@ def _sparse(item: Json, sizes: Mapping[str, int]) -> Sparse:
         indices.fail("expected an unsigned component type")
     return Sparse(
         count=item.integer("count"),
-        indices_view=indices.need("bufferView").as_integer(0, sizes["bufferViews"], "buffer view"),
+        indices_view=indices.to("bufferView", sizes["bufferViews"], "buffer view"),
         indices_offset=indices.integer("byteOffset", 0),
         indices_type=component,
-        values_view=values.need("bufferView").as_integer(0, sizes["bufferViews"], "buffer view"),
+        values_view=values.to("bufferView", sizes["bufferViews"], "buffer view"),
         values_offset=values.integer("byteOffset", 0),
         where=item.where,
     )
@@ -441,7 +441,7 @@ def _primitive(item: Json, sizes: Mapping[str, int]) -> Primitive:
 
 def _draco(item: Json, sizes: Mapping[str, int]) -> Draco:
     return Draco(
-        view=item.need("bufferView").as_integer(0, sizes["bufferViews"], "buffer view"),
+        view=item.to("bufferView", sizes["bufferViews"], "buffer view"),
         attributes={name: value.as_integer() for name, value in item.members("attributes")},
         where=item.where,
     )
@@ -515,8 +515,8 @@ def _sampler(item: Json, sizes: Mapping[str, int]) -> Sampler:
     if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
         item.fail(f"expected an interpolation of STEP, LINEAR or CUBICSPLINE, got '{interpolation[:40]}'")
     return Sampler(
-        input=item.need("input").as_integer(0, sizes["accessors"], "accessor"),
-        output=item.need("output").as_integer(0, sizes["accessors"], "accessor"),
+        input=item.to("input", sizes["accessors"], "accessor"),
+        output=item.to("output", sizes["accessors"], "accessor"),
         interpolation=interpolation,
         where=item.where,
     )
