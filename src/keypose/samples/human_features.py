@@ -18,6 +18,7 @@ from keypose.samples.subdivision import Cage, Weights, subdivide
 SCLERA = (0.80, 0.79, 0.77)
 PUPIL = (0.012, 0.010, 0.014)
 IRIS_DARK, IRIS_LIGHT = (0.030, 0.135, 0.150), (0.19, 0.50, 0.44)
+LASH_AROUND = 6
 LIMBUS = (0.010, 0.045, 0.055)
 
 
@@ -215,7 +216,7 @@ def lashes(rim: Floats, rim_ids: Ints, side: int) -> Piece:
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     thick = 0.0021 * np.sin(np.pi * np.clip(u * 0.86 + 0.12, 0, 1)) ** 0.7 * (1 - 0.45 * u) + 0.0003
     length = 0.0042 * (1 - u) ** 1.6 + 0.0012
-    a = np.arange(6) * np.pi / 3
+    a = np.arange(LASH_AROUND) * 2 * np.pi / LASH_AROUND
     up = np.cross(along, outward)
     up *= np.sign(np.sum(up * radial, 1, keepdims=True))
     middle = rim + outward * 0.0002 + up * thick[:, None] * 0.35
@@ -229,7 +230,7 @@ def lashes(rim: Floats, rim_ids: Ints, side: int) -> Piece:
     )
     rings[0] = rings[0].mean(0) + 0.35 * (rings[0] - rings[0].mean(0)) + np.array([0.0028, 0.0022, -0.0006])
     points, triangles = tube(rings)
-    follows = np.concatenate([np.repeat(rim_ids, 6), rim_ids[[0, -1]]])
+    follows = np.concatenate([np.repeat(rim_ids, LASH_AROUND), rim_ids[[0, -1]]])
     if _signed_volume(points, triangles) < 0:
         triangles = triangles[:, ::-1]
     if side < 0:

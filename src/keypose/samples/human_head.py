@@ -106,7 +106,7 @@ def eye_outline(angle: Floats, offset: float) -> tuple[Floats, Floats]:
 def mouth_line(x: Floats) -> Floats:
     """Height of the closed mouth at x: corners lift in a slight smile."""
     t = np.abs(x) / MOUTH_HALF
-    return MOUTH_Y + 0.0044 * t**2.0 - 0.0012 * np.exp(-((t / 0.28) ** 2))
+    return MOUTH_Y + 0.0044 * t**2.0 - 0.0007 * np.exp(-((t / 0.34) ** 2))
 
 
 def mouth_outline(ring: int, angle: Floats) -> tuple[Floats, Floats, Floats]:
