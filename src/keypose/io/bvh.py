@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from keypose.arrays import Floats, Ints
-from keypose.errors import FormatError, UnknownName
+from keypose.errors import UnknownName
 from keypose.io.axes import checked_up, guess_unit, guess_up, turn_roots, unit_in_metres, y_up_rotation
 from keypose.io.bvh_channels import (
     Flags,
@@ -71,12 +71,10 @@ def read(
             raise UnknownName("choice", str(value), known)
     given_unit = None if unit is None else unit_in_metres(unit)
     given_up = None if up == "auto" else checked_up(up)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FormatError(f"cannot be read: {error.strerror or error}", path=path) from None
-    text = parse(data, keep_whole_frames=truncated == "keep")
-    return _Reader(text, path.stem).scene(given_unit, given_up, child_positions, root_positions)
+    with path.open("rb") as file:
+        text = parse(file, keep_whole_frames=truncated == "keep")
+        reader = _Reader(text, path.stem)
+    return reader.scene(given_unit, given_up, child_positions, root_positions)
 
 
 class _Reader:

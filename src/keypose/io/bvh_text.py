@@ -8,9 +8,11 @@ on BVH, with the variations found in the files of many exporters.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import BinaryIO
 
 import numpy as np
 
@@ -26,13 +28,13 @@ _FREE_BYTES = 1 << 26
 _DEEPEST_INDENT = 100
 # Large enough that the work per block does not show, small enough for the second-level cache.
 _BLOCK_BYTES = 1 << 19
+_HEAD_BYTES = 1 << 16
 
 _MOTION = re.compile(rb"(?:\A|[\r\n])[ \t]*MOTION(?=\s|\Z)", re.IGNORECASE)
 _GAP = rb"\s*+(?:(?:#|//)[^\r\n]*+\s*+)*+"
 _FRAMES = re.compile(_GAP + rb"Frames[ \t]*:?[ \t]*([^\s]+)", re.IGNORECASE)
 _FRAME_TIME = re.compile(_GAP + rb"Frame[ \t]*Time[ \t]*:?[ \t]*([^\s]+)", re.IGNORECASE)
-_COMMENT = re.compile(rb"(?m)^[ \t]*+(?:#|//)[^\r\n]*+")
-_BLANK = re.compile(rb"[\x00-\x20]")
+_COMMENT = re.compile(rb"(?:\A|(?<=[\r\n]))[ \t]*+(?:#|//)[^\r\n]*+")
 _LINE = re.compile(rb"([^\r\n]*+)(?:\r\n?|\n|\Z)")
 
 
@@ -58,8 +60,8 @@ class BvhText:
     notes: list[str]
 
 
-def parse(data: bytes, *, keep_whole_frames: bool = False) -> BvhText:
-    """Read the bytes of a BVH file.
+def parse(file: BinaryIO, *, keep_whole_frames: bool = False) -> BvhText:
+    """Read a BVH file that is open for reading bytes, and stays open until the blocks have been read.
 
     ``keep_whole_frames`` accepts a motion block that is shorter or longer than ``Frames:`` says and keeps the whole
     frames that are there; without it such a file is refused.
@@ -67,19 +69,30 @@ def parse(data: bytes, *, keep_whole_frames: bool = False) -> BvhText:
     Raises:
         FormatError: at the first thing that does not follow the format, with its line.
     """
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+    head, motion = _head(file)
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise FormatError("the text is UTF-16; expected UTF-8 or ASCII", where="line 1")
-    motion = _MOTION.search(data)
-    hierarchy = parse_hierarchy(data[: motion.start()] if motion else data)
+    hierarchy = parse_hierarchy(head[: motion.start()] if motion else head)
     text = BvhText(hierarchy, 0, (), None, "", list(hierarchy.notes))
     if motion:
-        _parse_motion(data, motion.end(), text, keep_whole_frames)
+        _parse_motion(file, head, motion.end(), text, keep_whole_frames)
     else:
         text.notes.append("no MOTION section: the file holds a skeleton only")
     return text
 
 
-def _parse_motion(data: bytes, at: int, text: BvhText, keep_whole_frames: bool) -> None:
+def _head(file: BinaryIO) -> tuple[bytes, re.Match[bytes] | None]:
+    """The start of the file to beyond MOTION and its two lines, and the place of MOTION; all of it without one."""
+    head = b""
+    while True:
+        more = file.read(max(len(head), _HEAD_BYTES))  # doubles: a long hierarchy is searched a few times only
+        head += more
+        motion = _MOTION.search(head)
+        if not more or (motion and len(head) - motion.end() >= _HEAD_BYTES // 2):
+            return head, motion
+
+
+def _parse_motion(file: BinaryIO, data: bytes, at: int, text: BvhText, keep_whole_frames: bool) -> None:
     frames = _FRAMES.match(data, at)
     if not frames:
         raise FormatError("expected 'Frames:' after MOTION", where=f"line {line_of(data, at)}")
@@ -94,7 +107,8 @@ def _parse_motion(data: bytes, at: int, text: BvhText, keep_whole_frames: bool) 
         )
     text.frame_time_text = timed[1].decode("latin-1")
     text.frame_time_s = _frame_time(text.frame_time_text, f"line {line_of(data, timed.start(1))}")
-    motion = _Motion(data, timed.end(), text.hierarchy.channel_count, announced, where)
+    size = file.seek(0, os.SEEK_END)
+    motion = _Motion(file, size, timed.end(), text.hierarchy.channel_count, announced, where)
     if motion.channels == 0:
         motion.refuse_numbers()
         if announced:
@@ -104,12 +118,12 @@ def _parse_motion(data: bytes, at: int, text: BvhText, keep_whole_frames: bool) 
         text.blocks, text.frame_count = motion.kept(text.notes)
     else:
         # a number takes two bytes at least: what cannot be there must not ask for memory
-        if announced * motion.channels * 2 > len(data) - motion.start + 1:
+        if announced * motion.channels * 2 > size - motion.start + 1:
             raise motion.too_few()
         text.blocks, text.frame_count = motion.blocks(), announced
     joints = len(text.hierarchy.joints)
     pose_bytes = text.frame_count * joints * 7 * 8
-    if pose_bytes > max(_FREE_BYTES, _BYTES_PER_BYTE * len(data)):
+    if pose_bytes > max(_FREE_BYTES, _BYTES_PER_BYTE * size):
         raise FormatError(
             f"{text.frame_count} frames of {joints} joints, nearly all without channels, "
             f"would take {pose_bytes >> 20} MiB",
@@ -118,10 +132,12 @@ def _parse_motion(data: bytes, at: int, text: BvhText, keep_whole_frames: bool) 
 
 
 class _Motion:
-    """The numbers behind Frame Time, cut into blocks that fit the processor's cache."""
+    """The numbers behind Frame Time, read in blocks that fit the processor's cache."""
 
-    def __init__(self, data: bytes, start: int, channels: int, announced: int, where: str) -> None:
-        self.data, self.start, self.channels, self.announced, self.where = data, start, channels, announced, where
+    def __init__(self, file: BinaryIO, size: int, start: int, channels: int, announced: int, where: str) -> None:
+        self.file, self.size, self.start = file, size, start
+        self.channels, self.announced, self.where = channels, announced, where
+        self.left_over = 0
 
     def blocks(self) -> Iterator[Floats]:
         """Whole frames, block by block; raises at the end where their number is not the announced one."""
@@ -147,9 +163,9 @@ class _Motion:
 
     def refuse_numbers(self) -> None:
         """Without channels there must be none."""
-        for start, end in self.ranges():
-            if len(self.numbers(start, end)):
-                line = line_of(self.data, self.start) + 1
+        for offset, text in self.texts():
+            if len(self.numbers(offset, text)):
+                line = line_of(self.whole(), self.start) + 1
                 raise FormatError("numbers follow, but no joint has channels", where=f"line {line}")
 
     def tables(self) -> Iterator[Floats]:
@@ -157,8 +173,8 @@ class _Motion:
         rest = np.zeros(0)
         self.left_over = 0
         read = 0
-        for start, end in self.ranges():
-            values = self.numbers(start, end)
+        for offset, text in self.texts():
+            values = self.numbers(offset, text)
             # two reductions and no temporary array; NaN cannot come from text that is all digits
             if len(values) and (values.max() > LARGEST or values.min() < -LARGEST):
                 raise self.too_large(read, values)
@@ -171,35 +187,44 @@ class _Motion:
                 yield values[:whole].reshape(-1, self.channels)
         self.left_over = len(rest)
 
-    def ranges(self) -> Iterator[tuple[int, int]]:
-        """Byte ranges of blocks, cut where a blank is."""
-        start = self.start
-        while start < len(self.data):
-            end = start + _BLOCK_BYTES
-            blank = _BLANK.search(self.data, end) if end < len(self.data) else None
-            end = blank.start() if blank else len(self.data)
-            yield start, end
-            start = end
+    def texts(self) -> Iterator[tuple[int, bytes]]:
+        """Pieces of the file with their offsets, cut between lines, or between words of a very long line."""
+        self.file.seek(self.start)
+        offset, rest = self.start, b""
+        while piece := self.file.read(_BLOCK_BYTES):
+            text = rest + piece
+            cut = 1 + max(text.rfind(b"\n"), text.rfind(b"\r"))
+            cut = cut or 1 + max(text.rfind(b" "), text.rfind(b"\t"))
+            if cut:
+                yield offset, text[:cut]
+            offset, rest = offset + cut, text[cut:]
+        if rest:
+            yield offset, rest
 
-    def numbers(self, start: int, end: int) -> Floats:
-        """The numbers between two bytes, without comments."""
-        compiled = len(self.data) - self.start > SMALL_BYTES
-        values, wrong = parse_block(self.data, start, end, compiled=compiled)
-        if wrong >= 0 and self.data[wrong : wrong + 1] in (b"#", b"/"):
-            # comments keep their length, so that places in the text stay what they are; the copy serves later blocks too
-            comments = _COMMENT.sub(lambda comment: b" " * len(comment[0]), self.data[self.start :])
-            self.data = self.data[: self.start] + comments
-            values, wrong = parse_block(self.data, start, end, compiled=compiled)
+    def numbers(self, offset: int, text: bytes) -> Floats:
+        """The numbers of one piece, without comments."""
+        compiled = self.size - self.start > SMALL_BYTES
+        values, wrong = parse_block(text, 0, len(text), compiled=compiled)
+        if wrong >= 0 and text[wrong : wrong + 1] in (b"#", b"/"):
+            # comments keep their length, so that places in the text stay what they are
+            text = _COMMENT.sub(lambda comment: b" " * len(comment[0]), text)
+            values, wrong = parse_block(text, 0, len(text), compiled=compiled)
         if wrong >= 0:
-            word = self.data[wrong : wrong + 64].split(None, 1)[0]
+            word = text[wrong : wrong + 64].split(None, 1)[0]
             hint = "; decimals are written with a point" if b"," in word else ""
-            where = f"line {line_of(self.data, wrong)}"
+            where = f"line {line_of(self.whole(), offset + wrong)}"
             raise FormatError(f"expected a number, found {shown(word)}{hint}", where=where)
         return values
 
+    def whole(self) -> bytes:
+        """The whole file, to say where something is wrong."""
+        self.file.seek(0)
+        return self.file.read()
+
     def lines(self) -> Iterator[tuple[int, int]]:
         """Line number and number count of every line that holds numbers."""
-        for number, line in enumerate(_LINE.finditer(self.data, self.start), line_of(self.data, self.start)):
+        data = self.whole()
+        for number, line in enumerate(_LINE.finditer(data, self.start), line_of(data, self.start)):
             count = len(line[1].split())
             if count and not line[1].lstrip().startswith((b"#", b"//")):
                 yield number, count
@@ -219,17 +244,17 @@ class _Motion:
             if index < count:
                 return number
             index -= count
-        return line_of(self.data, len(self.data))
+        return line_of(self.whole(), self.size)
 
     def too_few(self) -> FormatError:
         """The error for a frame count that cannot be; of a text that has other faults, those."""
         numbers = self.announced * self.channels
         for _ in self.tables():
             pass
-        if self.announced < 2**31 and numbers < 4 * len(self.data):
+        if self.announced < 2**31 and numbers < 4 * self.size:
             return self.wrong_count()
         return FormatError(
-            f"Frames: {self.announced} frames of {self.channels} numbers cannot be in a file of {len(self.data)} bytes",
+            f"Frames: {self.announced} frames of {self.channels} numbers cannot be in a file of {self.size} bytes",
             where=self.where,
         )
 
