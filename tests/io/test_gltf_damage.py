@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from damage import load_damaged
 from gltf_files import GltfFile
 
 from conftest import find_data_dir
@@ -103,3 +104,15 @@ def test_damaged_files_made_by_hand(tmp_path: Path) -> None:
 def test_damaged_real_files(seed: int, data_dir: Path) -> None:
     data = find_data_dir() or data_dir
     assert_all_clear(read_damaged(500, seed, [data / name for name in REAL]), 500)
+
+
+def test_files_damaged_as_text(tmp_path: Path) -> None:
+    """The damage that other formats get too: numbers, words and lines exchanged, brackets nested 100,000 deep."""
+    data = find_data_dir()
+    result: dict[str, Any] = load_damaged(
+        [*everything(tmp_path), *([data / n for n in REAL] if data else [])], 600, tmp_path
+    )
+    assert result["wrong"] == []
+    assert result["slowest_s"] < 5, result["slowest"]
+    assert result["peak_mib"] < 1024
+    assert result["loaded"] > 30 and result["refused"] > 200

@@ -15,7 +15,7 @@ def test_the_package_page() -> None:
     assert result.attempted and not result.failed
 
 
-@pytest.mark.parametrize("page", ["bvh.md"])
+@pytest.mark.parametrize("page", ["bvh.md", "gltf.md"])
 def test_pages(page: str) -> None:
     result = doctest.testfile(str(ROOT / "docs" / page), module_relative=False, encoding="utf-8")
     assert result.attempted and not result.failed
