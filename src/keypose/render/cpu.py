@@ -230,11 +230,11 @@ class CpuRenderer:
 
         def band(index: int, _room: object) -> None:
             bottom = min((index + 1) * _ROWS, height)
-            shade.draw_backdrop(frame, floor_from_pixel, has_floor, width, height, index * _ROWS, bottom, self.still)
+            shade.draw_backdrop(
+                frame, floor_from_pixel, has_floor, width, height, index * _ROWS, bottom, self.still, self.still_bytes
+            )
 
         self._spread(band, -(-height // _ROWS))
-        self.still_bytes[..., :3] = np.clip(self.still * 255 + 0.5, 0, 255)
-        self.still_bytes[..., 3] = 255
 
     def _shadow_box(self, floor_from_pixel: Floats, view: View) -> Ints:
         """The pixels (left, right, top, bottom) in which the floor may be in shadow."""

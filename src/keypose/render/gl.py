@@ -254,15 +254,18 @@ class GlRenderer:
             self._surface(mesh, moment)
         ctx.disable(ctx.BLEND)
         ctx.copy_framebuffer(self.resolved, self.drawing)
-        self.final.use()
-        ctx.disable(ctx.DEPTH_TEST | ctx.CULL_FACE)
-        self.picture.use(0)
-        reduce = _program("reduce")
-        reduce["source"], reduce["block"] = 0, self.block
-        self.screens["reduce"].render(ctx.TRIANGLES, 3)
         size = (self.settings.height, self.settings.width, 4)
-        picture = np.frombuffer(self.final.read(components=4, alignment=1), np.uint8).reshape(size)
-        return _straight(picture) if self.settings.transparent else picture
+        if self.block > 1:
+            self.final.use()
+            ctx.disable(ctx.DEPTH_TEST | ctx.CULL_FACE)
+            self.picture.use(0)
+            reduce = _program("reduce")
+            reduce["source"], reduce["block"] = 0, self.block
+            self.screens["reduce"].render(ctx.TRIANGLES, 3)
+        source = self.final if self.block > 1 else self.resolved
+        # OpenGL's rows run upwards
+        picture = np.frombuffer(source.read(components=4, alignment=1), np.uint8).reshape(size)[::-1]
+        return _straight(picture) if self.settings.transparent else np.ascontiguousarray(picture)
 
     def skin(self, moment: Moment) -> None:
         """Skin all meshes; their buffers then hold world positions and normals, six floats per vertex."""

@@ -72,8 +72,8 @@ def lines(at_x, at_y, foot_x, foot_y, width):
 
 
 @njit(cache=True, nogil=True)
-def draw_backdrop(frame, floor_from_pixel, ground, width, height, top, bottom, out):
-    """sky.frag and ground.frag: rows top..bottom - 1 of the picture without a subject, (H, W, 3) as shown."""
+def draw_backdrop(frame, floor_from_pixel, ground, width, height, top, bottom, out, shown):
+    """sky.frag and ground.frag: rows top..bottom - 1 of the picture without a subject, (H, W, 3), and as bytes."""
     focus_x, focus_z, reach, cell = frame[FOCUS, 0], frame[FOCUS, 2], frame[FOCUS, 3], frame[KEY_COLOR, 3]
     m = floor_from_pixel
     for y in range(top, bottom):
@@ -119,6 +119,9 @@ def draw_backdrop(frame, floor_from_pixel, ground, width, height, top, bottom, o
                     )
             noise = (fract(base_y * fract(px * 0.06711056 + up * 0.00583715)) - 0.5) / 255
             out[y, x, 0], out[y, x, 1], out[y, x, 2] = r + noise, g + noise, b + noise
+            for channel in range(3):
+                shown[y, x, channel] = int(min(max(out[y, x, channel], 0.0), 1.0) * 255 + 0.5)
+            shown[y, x, 3] = 255
 
 
 @njit(cache=True, nogil=True)

@@ -61,7 +61,7 @@ def compose(
     for index, (picture, label) in enumerate(zip(pictures, labels, strict=True)):
         left, top = grid.place(index)
         page.paste(image.fromarray(picture), (left, top))
-        size = max(9, round(min(grid.cell[1] * 0.06, grid.cell[0] * 0.1, 40)))
+        size = max(9, round(min(grid.cell[1] * 0.055, grid.cell[0] * 0.068, 40)))
         if grid.cell[1] > 3 * size and grid.cell[0] > 3 * size:
             pen = drawing.Draw(page)
             place = (left + 0.7 * size, top + 0.5 * size)

@@ -1,12 +1,10 @@
-// Supersampling: the mean of a block of pixels; upside down, so that the picture is read top row first.
+// Supersampling: the mean of a block of pixels.
 uniform sampler2D source;
 uniform int block;
 out vec4 result;
 
 void main() {
-    ivec2 size = textureSize(source, 0);
-    ivec2 pixel = ivec2(gl_FragCoord.xy);
-    ivec2 corner = ivec2(pixel.x, size.y / block - 1 - pixel.y) * block;
+    ivec2 corner = ivec2(gl_FragCoord.xy) * block;
     vec4 sum = vec4(0);
     for (int y = 0; y < block; ++y) {
         for (int x = 0; x < block; ++x) sum += texelFetch(source, corner + ivec2(x, y), 0);
