@@ -1,5 +1,6 @@
 // What the tests ask the page: numbers instead of pixels. Nothing here changes what a user sees.
 
+import { Vector3 } from "three";
 import { deformedVertices } from "./view/parts";
 import type { Studio } from "./studio.svelte";
 
@@ -58,6 +59,17 @@ export function installHooks(studio: Studio): void {
       const vertices = [...deformedVertices(actor.sources[part], actor.rig.world, actor.rig.pose.morphs)];
       studio.view.invalidatePose();
       return vertices;
+    },
+    /** The same vertices as they are shown now, on the canvas in CSS pixels. */
+    verticesOnScreen: (n: number): [number, number][] => {
+      const actor = actorAt(n);
+      return actor.sources.flatMap((source) => {
+        const vertices = deformedVertices(source, actor.rig.world, actor.rig.pose.morphs);
+        return Array.from({ length: vertices.length / 3 }, (_, v): [number, number] => {
+          const [x, y] = studio.view.project(actor, new Vector3().fromArray(vertices, 3 * v));
+          return [x, y];
+        });
+      });
     },
     morphs: (n: number) => [...actorAt(n).rig.pose.morphs],
     /** Where a joint is on the canvas, in CSS pixels of the page. */

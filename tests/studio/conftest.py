@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from studio_scenes import Start
+from studio_scenes import Start, arm_scene
 
+from keypose import samples
 from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import StudioServer
@@ -25,7 +26,6 @@ ARGUMENTS = [
     "--no-first-run",
     "--mute-audio",
     "--disable-dev-shm-usage",
-    "--force-prefers-reduced-motion",
 ]
 
 
@@ -104,9 +104,66 @@ class StudioPage:
         if actors is not None:
             self.until(lambda: len(self.state("actors")) == actors, f"{actors} characters")
 
+    def reset(self) -> None:
+        """Back to how the page was when it had loaded."""
+        self.complaints.clear()
+        self.page.set_viewport_size({"width": 1000, "height": 640})
+        self.page.evaluate(
+            """() => {
+              const s = keypose.studio;
+              s.pause(); s.setMode("loop"); s.setSpeed(1); s.select(-1); s.help = false; s.readout = "frames";
+              s.perform(s.active, s.offered[0]); s.seekFrame(0);
+              s.toasts = []; s.setTheme("dark", false);
+              for (const name of ["bones", "axes", "weights", "ghosts", "follow"]) s.show(name, false);
+              s.show("grid", true); s.show("shadows", true);
+              s.resetMorphs(s.active, s.active.morphNames.map((_, m) => m));
+              s.view.frameAll("three-quarter", true);
+              document.activeElement?.blur();
+            }"""
+        )
+
     def test_id(self, name: str) -> Any:
         """An element by its test id."""
         return self.page.get_by_test_id(name)
+
+
+@pytest.fixture(scope="module")
+def loaded(chromium: Any, start: Start) -> Iterator[Callable[[str], StudioPage]]:
+    """Pages that tests share, by what they show: loading one costs more than most tests."""
+    contexts: list[Any] = []
+    pages: dict[str, StudioPage] = {}
+
+    def page_of(name: str) -> StudioPage:
+        if name not in pages:
+            scene = arm_scene() if name == "arm.glb" else samples.open_scene(name)
+            context = chromium.new_context(color_scheme="dark", reduced_motion="reduce", accept_downloads=True)
+            contexts.append(context)
+            context.set_default_timeout(10_000)
+            pages[name] = StudioPage(context.new_page())
+            pages[name].page.goto(start((name, scene)).url)
+            pages[name].ready(1)
+        pages[name].reset()
+        return pages[name]
+
+    yield page_of
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture
+def studio(loaded: Callable[[str], StudioPage]) -> Iterator[StudioPage]:
+    """A page with the tube, as if newly loaded; the test fails if it complains on its console."""
+    page = loaded("arm.glb")
+    yield page
+    assert page.complaints == []
+
+
+@pytest.fixture
+def human(loaded: Callable[[str], StudioPage]) -> Iterator[StudioPage]:
+    """The same with the built-in human and all its performances."""
+    page = loaded("sample:human")
+    yield page
+    assert page.complaints == []
 
 
 @pytest.fixture
@@ -118,7 +175,11 @@ def visit(chromium: Any) -> Iterator[Callable[..., StudioPage]]:
     def opened(
         server: StudioServer, *, size: tuple[int, int] = (1000, 640), theme: str = "dark", actors: int | None = None
     ) -> StudioPage:
-        context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, color_scheme=theme)
+        # with reduced motion the studio does not start to play by itself, and the camera jumps instead of gliding
+        context = chromium.new_context(
+            viewport={"width": size[0], "height": size[1]}, color_scheme=theme, reduced_motion="reduce"
+        )
+        context.set_default_timeout(10_000)
         contexts.append(context)
         studio = StudioPage(context.new_page())
         pages.append(studio)

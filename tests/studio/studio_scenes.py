@@ -52,7 +52,7 @@ def arm_skeleton(joints: int = 4) -> Skeleton:
     translations = np.zeros((joints, 3))
     translations[1:, 1] = 0.5
     rest = Pose(translations, turn(np.zeros(joints)), np.ones((joints, 3)))
-    names = tuple(["Root", *(f"Joint{n}" for n in range(1, joints))])
+    names = ("Root", *(f"Joint{n}" for n in range(1, joints)))
     return Skeleton(names, np.arange(-1, joints - 1), rest, ((joints - 1, (0.0, 0.3, 0.0)),))
 
 
@@ -114,10 +114,9 @@ def arm_scene(influences: int = 2, *, skeleton_only: bool = False) -> Scene:
     swell = np.where(mesh.positions[:, 1:2] > 1.5, np.asarray(mesh.normals) * 0.1, 0.0)
     morphs = MorphSet.from_dense(("swell", "lean"), np.stack([swell, np.tile([0.05, 0, 0], (len(swell), 1))]))
     part = Part("tube", mesh, Material("clay", (0.8, 0.3, 0.2, 1.0)), skin, morphs=morphs)
-    box = Mesh(
-        np.array([[-0.05, 0, 0], [0.05, 0, 0], [0, 0.2, 0], [0, 0, 0.05]], np.float32),
-        np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]),
-    )
+    corners = np.array([[x, y, z] for x in (-0.08, 0.08) for y in (0.1, 0.2) for z in (-0.08, 0.08)], np.float32)
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    box = Mesh(corners, np.array([[q[i], q[j], q[k]] for q in faces for i, j, k in ((0, 1, 2), (0, 2, 3))]))
     tip = Part("tip", box, Material("tip", (0.1, 0.5, 0.6, 1.0)), joint=3)
     character = Character(skeleton, (part, tip), "arm", ("swell", "lean"))
     return Scene((character,), (arm_clip(skeleton), arm_motion(skeleton)), format="made", notes=("made by code",))

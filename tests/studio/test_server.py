@@ -164,7 +164,7 @@ def test_a_port_that_is_taken_is_an_error_with_a_name(server: StudioServer) -> N
 def test_a_bad_file_ends_it_before_anything_is_served(tmp_path: Path) -> None:
     bad = tmp_path / "bad.bvh"
     bad.write_text("HIERARCHY\nROOT")
-    with pytest.raises(KeyposeError, match="bad.bvh"):
+    with pytest.raises(KeyposeError, match=r"bad\.bvh"):
         serve([str(bad)], open_browser=False, ready=lambda _: pytest.fail("it must not listen"))
 
 

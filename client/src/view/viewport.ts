@@ -20,6 +20,8 @@ export interface Display {
 }
 
 export interface FrameStats {
+  /** Frames measured. */
+  frames: number;
   /** Frames drawn per second, over the last second. */
   fps: number;
   /** Script milliseconds per frame: animation, kinematics, matrices, read-outs. */
@@ -317,6 +319,7 @@ export class Viewport {
     const newest = this.frameTimes[(this.samples + SAMPLES - 1) % SAMPLES];
     const recent = this.frameTimes.subarray(0, count).filter((t) => newest - t < 1000 && performance.now() - newest < 500);
     return {
+      frames: count,
       fps: recent.length > 1 ? ((recent.length - 1) * 1000) / Math.max(1, newest - Math.min(...recent)) : 0,
       script: median(this.scriptTimes),
       submit: median(this.submitTimes),
