@@ -19,7 +19,7 @@ import numpy as np
 from keypose.arrays import Floats
 from keypose.errors import FormatError
 from keypose.io.bvh_hierarchy import LARGEST, Hierarchy, Vector, parse_hierarchy
-from keypose.io.text import SMALL_BYTES, format_rows, line_of, parse_block, shown, to_number
+from keypose.io.text import SMALL_BYTES, SMALL_NUMBERS, format_rows, line_of, parse_block, shown, to_number
 
 # Joints without channels cost no bytes in the motion block, but memory in every frame: a file may ask for this many
 # bytes of poses per byte of its own (a joint of three rotations needs about two), and for _FREE_BYTES in any case.
@@ -28,6 +28,7 @@ _FREE_BYTES = 1 << 26
 _DEEPEST_INDENT = 100
 # Large enough that the work per block does not show, small enough for the second-level cache.
 _BLOCK_BYTES = 1 << 19
+_BLOCK_NUMBERS = 1 << 15
 _HEAD_BYTES = 1 << 16
 
 _MOTION = re.compile(rb"(?:\A|[\r\n])[ \t]*MOTION(?=\s|\Z)", re.IGNORECASE)
@@ -284,7 +285,7 @@ def _frame_time(word: str, where: str) -> float:
     return seconds
 
 
-def compose(hierarchy: Hierarchy, frame_time_text: str, values: Floats, decimals: int) -> list[bytes]:
+def compose(hierarchy: Hierarchy, frame_time_text: str, values: Floats, decimals: int) -> Iterator[bytes]:
     """The bytes of a BVH file, in pieces: the hierarchy, then the motion, with ``decimals`` digits after the point.
 
     Joints must be in depth-first order, as the format has them.
@@ -314,7 +315,10 @@ def compose(hierarchy: Hierarchy, frame_time_text: str, values: Floats, decimals
     while open_joints:
         close()
     lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {frame_time_text}", ""]
-    return ["\n".join(lines).encode(), format_rows(values, decimals)]
+    yield "\n".join(lines).encode()
+    rows = max(_BLOCK_NUMBERS // max(values.shape[1], 1), 1)
+    for first in range(0, len(values), rows):
+        yield format_rows(values[first : first + rows], decimals, compiled=values.size > SMALL_NUMBERS)
 
 
 def _tabs(depth: int) -> str:

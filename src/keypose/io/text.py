@@ -13,7 +13,7 @@ import numpy as np
 from keypose.arrays import Floats
 
 SMALL_BYTES = 200_000
-_SMALL_VALUES = 25_000
+SMALL_NUMBERS = 25_000
 _WORD = re.compile(rb"[^\x00-\x20]+")
 _NUMBER = re.compile(rb"[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?")
 _DIGITS_AND_BLANKS = re.compile(rb"[\x00-\x20+\-.0-9eE]*+")
@@ -45,13 +45,14 @@ def parse_block(data: bytes, start: int, end: int, *, compiled: bool | None = No
     return np.array(values, np.float64), -1
 
 
-def format_rows(values: Floats, decimals: int) -> bytes:
+def format_rows(values: Floats, decimals: int, *, compiled: bool | None = None) -> bytes:
     """Rows of fixed-point numbers, blank-separated, each row with a line feed at its end.
 
     Shapes and units:
         values: (T, C) float64.
+        ``compiled`` chooses the path; by default large tables take the compiled one.
     """
-    if values.size > _SMALL_VALUES:
+    if values.size > SMALL_NUMBERS if compiled is None else compiled:
         from keypose.kernels.text import format_numbers
 
         return format_numbers(values, decimals)
