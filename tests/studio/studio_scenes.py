@@ -113,7 +113,7 @@ def arm_scene(influences: int = 2, *, skeleton_only: bool = False) -> Scene:
     mesh, skin = arm_mesh(skeleton, influences)
     swell = np.where(mesh.positions[:, 1:2] > 1.5, np.asarray(mesh.normals) * 0.1, 0.0)
     morphs = MorphSet.from_dense(("swell", "lean"), np.stack([swell, np.tile([0.05, 0, 0], (len(swell), 1))]))
-    part = Part("tube", mesh, Material("clay", (0.8, 0.3, 0.2, 1.0)), skin, morphs=morphs)
+    part = Part("tube", mesh, Material("clay", (0.8, 0.3, 0.2, 1.0), double_sided=True), skin, morphs=morphs)
     corners = np.array([[x, y, z] for x in (-0.08, 0.08) for y in (0.1, 0.2) for z in (-0.08, 0.08)], np.float32)
     faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     box = Mesh(corners, np.array([[q[i], q[j], q[k]] for q in faces for i, j, k in ((0, 1, 2), (0, 2, 3))]))
