@@ -63,7 +63,7 @@ def _outward(points: Floats, triangles: Ints) -> Ints:
 
 def zip_fastener(jacket: Surface) -> list[Detail]:
     """The zip down the front, with its slider."""
-    y = np.linspace(0.929, 1.364, 32)
+    y = np.linspace(0.929, 1.364, 24)
     path = np.stack([0 * y, y, 0 * y], 1)
     band = _swept(jacket, path, 2, ((-0.0050, -0.0020), (-0.0040, 0.0018), (0.0040, 0.0018), (0.0050, -0.0020)), 0)
     y = np.linspace(1.326, 1.352, 5)

@@ -18,7 +18,7 @@ from keypose.samples.subdivision import Cage, Weights, subdivide
 SCLERA = (0.80, 0.79, 0.77)
 PUPIL = (0.012, 0.010, 0.014)
 IRIS_DARK, IRIS_LIGHT = (0.030, 0.135, 0.150), (0.19, 0.50, 0.44)
-LASH_AROUND = 6
+LASH_AROUND = 5
 LIMBUS = (0.010, 0.045, 0.055)
 
 
@@ -64,8 +64,8 @@ def mirrored_piece(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 def eyeball(side: int) -> Piece:
     """An eyeball with pupil, iris and limbal ring as colours on its own loops; it looks along +Z."""
     around = 24
-    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 48.0, 66.0, 110.0])
-    colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 4]
+    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 50.0, 96.0])
+    colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 3]
     polar = np.deg2rad(degrees)[:, None]
     azimuth = (np.arange(around) * 2 * np.pi / around)[None, :]
     unit = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
@@ -128,7 +128,7 @@ def catchlight(side: int) -> Piece:
 
 def teeth(upper: bool) -> Piece:
     """A row of teeth: one closed arch with a soft notch between teeth."""
-    steps = 25
+    steps = 21
     u = np.linspace(-1, 1, steps)
     half, depth = (0.0245, 0.0135) if upper else (0.0230, 0.0130)
     front = 0.0985 if upper else 0.0950
@@ -181,7 +181,7 @@ def tongue() -> Piece:
 
 def eyebrow(side: int) -> Piece:
     """A tapered brow, thick towards the nose."""
-    u = np.linspace(0, 1, 11)
+    u = np.linspace(0, 1, 10)
     x = 0.0165 + 0.0485 * u
     y = 1.5755 + 0.0125 * np.sin(np.pi * (0.12 + 0.72 * u)) - 0.0035 * u**2
     half = 0.0060 * np.clip(1 - u, 0, 1) ** 0.45 * smoothstep(-0.10, 0.12, u) + 0.0004
@@ -254,7 +254,7 @@ def ears() -> tuple[Floats, Ints, Floats]:
     back /= np.linalg.norm(back)
     up = np.cross(out, back)
     up *= np.sign(up[1])
-    a = np.arange(10) * np.pi / 5
+    a = np.arange(8) * np.pi / 4
     c, s = np.cos(a), np.sin(a)  # 0 at the back, a quarter turn at the top
     shape = 1 + 0.10 * s + 0.10 * np.cos(a - 0.9)
     wide, high = 0.0190 * shape, 0.0290 * shape * (1 - 0.10 * (s < 0))

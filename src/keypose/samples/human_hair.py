@@ -59,7 +59,7 @@ def _curve(points: Floats, steps: int) -> Floats:
 
 def cap() -> tuple[Floats, Ints]:
     """The hair close to the skull; its border sinks into the skin along the hairline."""
-    around, deep = 44, 7
+    around, deep = 38, 7
     azimuth = np.linspace(-np.pi, np.pi, around, endpoint=False)
     line = np.array(_HAIRLINE, float)
     at = np.concatenate([-line[:0:-1, 0], line[:-1, 0], 360 - line[::-1, 0]])
@@ -80,7 +80,7 @@ def cap() -> tuple[Floats, Ints]:
 
 def locks() -> list[tuple[Floats, Ints]]:
     """One closed tapered body per lock."""
-    steps, around = 10, 6
+    steps, around = 9, 6
     u = np.linspace(0, 1, steps)
     controls = np.array([c for c, _, _ in _LOCKS], float)
     controls[..., 0] = np.rad2deg(np.unwrap(np.deg2rad(controls[..., 0]), axis=1))

@@ -23,7 +23,7 @@ MOUTH_HALF = 0.0265
 LID = 0.0028  # the lid's thickness over the eyeball
 _EX, _EY, _EZ = EYE_CENTRE
 
-EYE_AROUND = 24
+EYE_AROUND = 20
 MOUTH_AROUND = 17  # of a half ring, from below the middle over the corner to above the middle
 
 EYE_OFFSETS = (0.0, 0.0026, 0.0060, 0.0100)
@@ -176,8 +176,8 @@ def _grid(loops: Floats) -> Floats:
         row = np.concatenate([[0.0], row[row > 0.003]])
         candidates.append(on_face(row, np.full(len(row), y)))
     # everything else, by direction from the middle of the head
-    for number, elevation in enumerate(np.deg2rad(np.arange(-64, 90, 6.6))):
-        front = 0.105 if elevation < 0.6 else 0.19
+    for number, elevation in enumerate(np.deg2rad(np.arange(-64, 90, 7.0))):
+        front = 0.112 if elevation < 0.6 else 0.19
         step = front / np.cos(elevation)
         azimuth = [0.0]
         while azimuth[-1] < np.pi:
