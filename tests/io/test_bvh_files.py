@@ -168,6 +168,24 @@ def test_every_file_survives_other_units_and_orders(scenes: dict[str, Scene], tm
         assert moved < 1e-3 and turned < 1e-4, name
 
 
+def test_files_come_back_through_glb(scenes: dict[str, Scene], tmp_path: Path) -> None:
+    """BVH -> GLB -> BVH: GLB holds float32, and carries what the writer needs to know of the first file."""
+    for name in (
+        "bvh/fair1/dab.bvh",
+        "bvh/geno/Geno_stance.bvh",
+        "makehuman/tpose.bvh",
+        "bvh/cmu_iclone_007/007_02.bvh",
+    ):
+        scene = scenes[name]
+        keypose.io.save(scene, tmp_path / "a.glb")
+        keypose.io.save(keypose.io.load(tmp_path / "a.glb"), tmp_path / "a.bvh")
+        again = keypose.io.load(tmp_path / "a.bvh")
+        moved, turned = differences(scene, again)
+        assert moved < 1e-3 and turned < 1e-4, name
+        assert again.character.skeleton.names == scene.character.skeleton.names, name
+        assert (again.unit_m, again.up) == (scene.unit_m, scene.up), name
+
+
 def peer_positions(check: Callable[[str, np.ndarray], None], data_dir: Path, facts: dict[str, Facts]) -> int:
     """Calls ``check`` for every file that pybvh reads, with its joint positions (T, J, 3); how many those are."""
     pybvh = pytest.importorskip("pybvh")
