@@ -161,7 +161,7 @@ def _leads(skeleton: Skeleton, joints: Ints, tips: Ints, lengths: Floats) -> Arr
     children = np.bincount(skeleton.parents[skeleton.parents >= 0], minlength=skeleton.joint_count)
     lone = (skeleton.parents[joints] < 0) & (children[joints] == 1) & (tips >= 0)
     branching = np.where(tips >= 0, children[tips], 0) >= 2
-    return lone & branching & (lengths > 3 * np.median(lengths))
+    return lone & branching & (lengths > 3 * (np.median(lengths) if len(lengths) else 0.0))
 
 
 def _unit(places: Floats, lengths: Floats) -> float:
