@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conftest import data_files
 from keypose import io, samples
 from keypose.errors import KeyposeError
 from keypose.model import Character, Image, Material, Mesh, Part, Pose, Scene, Skeleton
 from keypose.render import Camera, RenderSettings, render_image
 from keypose.render.settings import encoded
 
-from .conftest import arm, wave
+from .conftest import arm, data_files, wave
 
 
 def both(scene, time_s=0.3, **changes):

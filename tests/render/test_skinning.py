@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from conftest import data_files
 from keypose import deform, io, samples
 from keypose.model import Character, Part, Pose, Scene, Skeleton
 from keypose.render import RenderSettings
 from keypose.render.stage import Stage
 from keypose.render.surfaces import surfaces
 
-from .conftest import arm, wave
+from .conftest import arm, data_files, wave
 
 pytestmark = pytest.mark.gl
 
