@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from functools import cache
 from importlib.resources import files
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -237,8 +238,8 @@ class GlRenderer:
         standing = self._stands(view)
         if standing or ghosts:
             self._backdrop(standing)
-        for mesh in ghosts:
-            self._ghost(mesh, moment)
+        for _, parts in groupby(ghosts, key=lambda m: m.surface.drawn):
+            self._ghost(list(parts), moment)
         if ghosts:  # they are behind the subject, whatever the depth: only the floor's depth stays
             self._hide()
             self.drawing.clear(depth=1.0)
@@ -367,13 +368,15 @@ class GlRenderer:
         mesh.draw.render()
         self.compared.clear(1)
 
-    def _ghost(self, mesh: _Mesh, moment: Moment) -> None:
-        # only a ghost's nearest surface shows: its depth goes first
+    def _ghost(self, parts: list[_Mesh], moment: Moment) -> None:
+        # only a ghost's nearest surface shows: the depth of all its parts goes first
         self._hide()
-        self._surface(mesh, moment)
+        for mesh in parts:
+            self._surface(mesh, moment)
         self._show()
         self._blend()
-        self._surface(mesh, moment)
+        for mesh in parts:
+            self._surface(mesh, moment)
         self.ctx.disable(self.ctx.BLEND)
 
     def _hide(self) -> None:

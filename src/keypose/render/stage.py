@@ -130,16 +130,17 @@ class Stage:
     def _arranged(self, always: bool) -> tuple[Actor, ...]:
         """Side by side along X if they would stand inside each other."""
         times = np.linspace(self.start_s, self.end_s, 8)
-        boxes = [_bounds(_actor_points(actor, times)) for actor in self.actors]
+        clouds = [_actor_points(actor, times) for actor in self.actors]
+        boxes = [_bounds(points) for points in clouds]
         overlap = any(_overlapping(a, b) for i, a in enumerate(boxes) for b in boxes[:i])
         if not (always or overlap):
             return self.actors
         gap = 0.18 * float(np.median([(high - low)[1] for low, high in boxes]))
         widths = [float(max((high - low)[0], 1e-9)) for low, high in boxes]
         total, placed, cursor = sum(widths) + gap * (len(boxes) - 1), [], 0.0
-        for actor, (low, high), width in zip(self.actors, boxes, widths, strict=True):
-            # the first actor stands on the viewer's left, which is -X for a camera in front
-            x, z = cursor - total / 2 + width / 2 - (low + high)[0] / 2, -(low + high)[2] / 2
+        for actor, (low, high), width, points in zip(self.actors, boxes, widths, clouds, strict=True):
+            # the first actor stands on the viewer's left, which is -X for a camera in front; all start abreast
+            x, z = cursor - total / 2 + width / 2 - (low + high)[0] / 2, -float(np.mean(_bounds(points[0]), axis=0)[2])
             placed.append(Actor(actor.character, actor.animation, np.array([x, 0.0, z])))
             cursor += width + gap
         return tuple(placed)
