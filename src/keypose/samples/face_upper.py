@@ -17,7 +17,7 @@ LOOK = {"Up": (-1, 0, 24.0), "Down": (1, 0, 28.0), "Out": (0, 1, 30.0), "In": (0
 # --- eyes ------------------------------------------------------------------------------------------------------------
 
 
-def lid(face: Face, upper: float, lower: float, close: bool = False) -> Floats:
+def lid(face: Face, upper: float, lower: float) -> Floats:
     """Offsets of the left lids.
 
     ``upper`` and ``lower`` are shares of the way from the rest to the line where the closed lids meet (negative opens
@@ -32,15 +32,17 @@ def lid(face: Face, upper: float, lower: float, close: bool = False) -> Floats:
     rim = np.stack(eye_outline(around, 0.0), 1)
     number = np.round(np.mod(head.angle[on], 2 * np.pi) / (2 * np.pi) * EYE_AROUND).astype(int) % EYE_AROUND
     margin = rim[number]
-    opposite = rim[(EYE_AROUND // 2 - number) % EYE_AROUND]
-    opposite = np.stack([margin[:, 0], np.interp(margin[:, 0], *_lid_curve(rim, lower=True))], 1)
+    low = np.interp(margin[:, 0], *_lid_curve(rim, lower=True))
     top = np.interp(margin[:, 0], *_lid_curve(rim, lower=False))
-    meet = opposite[:, 1] + 0.10 * (top - opposite[:, 1])
+    # The lids meet low on the ball, and half-way near the corners, where the upper one could not follow.
+    corner = 0.42 * np.cos(around)[number] ** 4 * (top - low)
+    meet = low + 0.10 * (top - low) + corner
     sine = np.sin(around)[number]
     is_upper = sine > 1e-6
     is_lower = sine < -1e-6
     share = np.where(is_upper, upper, np.where(is_lower, lower, 0.0))
     travel = (meet - margin[:, 1]) * share
+    travel -= np.where(is_lower, corner * share * (1 - np.clip(upper, 0, 1)), 0.0)  # a lower lid alone stays low there
     ring = head.eye_ring[on]
     follow = np.select(
         [ring >= 0, ring == -1, ring == -2], [np.array([1.0, 0.95, 0.70, 0.34])[np.clip(ring, 0, 3)], 1.0, 0.9], 0.55
@@ -62,6 +64,7 @@ def lid(face: Face, upper: float, lower: float, close: bool = False) -> Floats:
     moved[:, 2] += (
         np.where(ring <= 0, ball - moved[:, 2], np.where(ring <= 2, free - moved[:, 2], 0.0)) * on_ball * strength
     )
+    moved[:, 2] -= np.where(ring <= -2, 0.0045 * strength, 0.0)  # what is turned in stays hidden behind the lids
     offsets[on] = moved - q
     # the skin around follows a little
     near = bump(p, (centre[0], centre[1] + 0.012, 0.085), (0.040, 0.036, 0.05)) * (~on) * (head.side >= 0)

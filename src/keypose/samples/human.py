@@ -301,18 +301,12 @@ def _face_parts() -> list[Part]:
     outside, bag = head.triangles[~head.inside], head.triangles[head.inside]
     lashes = _lashes(head)
     follows = np.concatenate([p.follows for p in lashes if p.follows is not None])
-    wing = np.zeros((len(MORPHS), len(follows), 3))
-    for k, start in enumerate((0, len(lashes[0].points))):
-        # The corner of the eye stays, but the wing that starts there sinks with the lid beside it.
-        rows = slice(start, start + human_features.LASH_AROUND)
-        wing[:, rows] = 0.5 * moves["skin"][:, follows[start + 2 * human_features.LASH_AROUND], None]
-        wing[:, start + len(lashes[k].points) - 2] = wing[:, start]
     material = {"upper_teeth": "teeth", "lower_teeth": "teeth"}
     return [
         _part("head", "skin", points, outside, weights, normals, _skin_tint(head), 6, skin_moves, turns),
         _part("mouth", "mouth", points, bag, weights, normals, None, 6, skin_moves, turns),
         *(_piece_part(n, material.get(n, n), p, moves[n]) for n, p in pieces.items()),
-        _piece_part("lashes", "lashes", lashes, moves["skin"][:, follows] + wing),
+        _piece_part("lashes", "lashes", lashes, moves["skin"][:, follows]),
     ]
 
 
