@@ -20,8 +20,11 @@ _ARM = ((0.04, 0.05, 0), (0.14, 0, 0), (0.27, -0.05, -0.06), (0.24, -0.02, 0.08)
 _LEG = ((0.09, -0.05, 0), (0.01, -0.41, 0.07), (0, -0.41, -0.08), (0, -0.05, 0.15))
 
 
-def body() -> tuple[Ints, Floats]:
-    """Parents (67,) and offsets (67, 3) in metres; the first 26 joints are a body with head, hands and feet."""
+def body(joints: int | None = None) -> tuple[Ints, Floats]:
+    """Parents (67,) and offsets (67, 3) in metres, or of the first joints only.
+
+    The first 26 are a body with head, hands and feet.
+    """
     parents, offsets = [-1], [(0.0, 0.95, 0.0)]
 
     def chain(parent: int, steps: tuple[tuple[float, ...], ...], side: float = 1.0) -> int:
@@ -40,7 +43,7 @@ def body() -> tuple[Ints, Floats]:
         for finger in range(5):
             chain(hand, ((0.02, 0, 0.02 * (finger - 2)), (0.04, 0, 0), (0.03, 0, 0), (0.02, 0, 0)), side)
     chain(head, ((0, -0.05, 0.08),))
-    return np.array(parents), np.array(offsets)
+    return np.array(parents)[:joints], np.array(offsets)[:joints]
 
 
 def unit(vectors: Floats) -> Floats:

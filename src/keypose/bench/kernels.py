@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from keypose.bench import data, limits, plain
@@ -122,9 +124,9 @@ def _skinning(suite, parents, offsets, models, truth, rng) -> None:
         "skinning, crowd of 64, separate outputs, pos + normal", "ns/vertex", 64 * count,
         lambda: skin.skin_crowd(made, models[:blocks], True, out), per_character[True], reference_count=count,
     )  # fmt: skip
-    moved, turned = skin.skin(made, palette[0], with_normals=True)
-    suite.check("one character skinning", abs(np.concatenate([moved, turned], axis=1) - wanted[0]).max(), 2e-5)
-    one, target = palette[0].copy(), (moved, turned)
+    target: Any = skin.skin(made, palette[0], with_normals=True)
+    suite.check("one character skinning", abs(np.concatenate(target, axis=1) - wanted[0]).max(), 2e-5)
+    one = palette[0].copy()
     suite.case(
         "skinning, 1 character, position + normal", "ns/vertex", count,
         lambda: skin.skin(made, one, with_normals=True, out=target), per_character[True],
@@ -159,7 +161,7 @@ def _text(suite: Suite) -> None:
 
 def _whole_clips(suite: Suite) -> None:
     rng = np.random.default_rng(5)
-    parents, offsets = (part[: data.BODY_JOINTS] for part in data.body())
+    parents, offsets = data.body(data.BODY_JOINTS)
     frames, joints = 10240, data.BODY_JOINTS
     rotations = data.unit(rng.normal(size=(frames, joints, 4))).astype(np.float32)
     roots, offsets = rng.normal(size=(frames, 3)).astype(np.float32), offsets.astype(np.float32)
@@ -190,7 +192,7 @@ def _slerp(suite: Suite, rotations: np.ndarray, count: int, rng: np.random.Gener
     a, b, t = rotations[:count], rotations[-count:], rng.random(count).astype(np.float32)
     truth = quat.slerp(a.astype(np.float64), b.astype(np.float64), t.astype(np.float64))
     suite.check("slerp, [n, 4]", abs(sample.slerp(a, b, t) - truth).max(), 1e-4)
-    rows = [aligned_copy(x.T).reshape(4, count) for x in (a, b)]
+    rows = aligned_copy(a.T).reshape(4, count), aligned_copy(b.T).reshape(4, count)
     steps, out = aligned_copy(t), aligned(4 * count).reshape(4, count)
     suite.check("slerp, lanes", abs(sample.slerp_lanes(*rows, steps, out).T - truth).max(), 1e-4)
     slow = lambda: quat.slerp(a, b, t)  # noqa: E731

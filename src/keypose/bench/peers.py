@@ -65,7 +65,7 @@ def add_fk(suite: Suite) -> None:
     from pymotion.ops import skeleton
 
     rng = np.random.default_rng(5)
-    parents, offsets = (part[: data.BODY_JOINTS] for part in data.body())
+    parents, offsets = data.body(data.BODY_JOINTS)
     frames = 10240
     rotations = data.unit(rng.normal(size=(frames, len(parents), 4))).astype(np.float32)
     roots, offsets = rng.normal(size=(frames, 3)).astype(np.float32), offsets.astype(np.float32)

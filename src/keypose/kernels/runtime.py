@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import config, njit
+from numba import config as _config
+from numba import njit
 from numba.core import caching
 from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic as _intrinsic
@@ -28,6 +29,7 @@ CACHE_LINE = 64
 
 # Functions that write LLVM code; the type checker cannot follow what the decorator makes of them.
 intrinsic: Any = _intrinsic
+config: Any = _config  # its settings are made while it is imported
 
 
 def _compiler_features() -> frozenset[str]:
@@ -135,7 +137,7 @@ class _Cache(caching.FunctionCache):
 
 def _compiled(fastmath: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath=fastmath)(function)
+        dispatcher: Any = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath=fastmath)(function)
         with contextlib.suppress(RuntimeError, OSError):  # nowhere to write
             dispatcher._cache = _Cache(function)
         return dispatcher

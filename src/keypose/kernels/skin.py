@@ -105,7 +105,7 @@ def compile_mesh(
         raise ShapeError(f"joints: expected indices from 0, got {joints.min()}")
     points = positions if normals is None else np.concatenate([positions, np.asarray(normals, dtype)], axis=1)
     if points.shape[1] not in (3, 6):
-        raise ShapeError(f"normals: expected {positions.shape}, got {np.shape(normals)}")
+        raise ShapeError(f"normals: expected {positions.shape}, got {(count, points.shape[1] - 3)}")
     joint_count = int(joints.max()) + 1 if joints.size else 0
     palette = np.array([] if palette is None else palette, np.int64)
     bind = aligned_copy(np.zeros((0, 3, 4)) if joint_from_mesh is None else np.asarray(joint_from_mesh)[:, :3])
@@ -117,7 +117,8 @@ def compile_mesh(
     arrays = (*chunks, *runs, palette, bind)
     sizes = (count, len(chunks[0]) // 5, points.shape[1], len(runs[0]) // 7, len(palette))
     handles = np.array([*sizes, *(a.ctypes.data for a in arrays)], np.int64)
-    return CompiledMesh(dtype, count, joint_count, normals is not None, *arrays, handles)
+    made: Any = (*arrays, handles)
+    return CompiledMesh(dtype, count, joint_count, normals is not None, *made)
 
 
 def skin(
@@ -147,9 +148,10 @@ def skin(
     if with_normals:
         mode = _SAME_MATRICES if normal_matrices is None else _OWN_MATRICES
     if mode == _OWN_MATRICES:
-        if np.shape(normal_matrices) != (*batch, palette, 3, 3):
-            raise ShapeError(f"normal_matrices: expected {(*batch, palette, 3, 3)}, got {np.shape(normal_matrices)}")
-        turning = readable(normal_matrices, mesh.dtype)
+        own = np.asarray(normal_matrices, mesh.dtype)
+        if own.shape != (*batch, palette, 3, 3):
+            raise ShapeError(f"normal_matrices: expected {(*batch, palette, 3, 3)}, got {own.shape}")
+        turning = readable(own, mesh.dtype)
     if out is None:
         moved, turned = np.empty(shape, mesh.dtype), np.empty(shape, mesh.dtype) if with_normals else None
     else:
@@ -263,7 +265,7 @@ def _chunks(groups: Any, width: int, joints: Any, weights: Any, points: Any, cou
 
 
 def _runs(groups: Any, joints: Any, weights: Any, points: Any) -> tuple[np.ndarray, ...]:
-    table: list[list[int]] = []
+    table: list[Any] = []
     vertices: list[np.ndarray] = []
     rows: list[np.ndarray] = []
     start = 0

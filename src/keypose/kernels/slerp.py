@@ -38,7 +38,7 @@ def slerp(a: Any, b: Any, t: Any) -> np.ndarray:
     if missing:
         a, b, t = np.pad(a, [(0, missing), (0, 0)]), np.pad(b, [(0, missing), (0, 0)]), np.pad(t, (0, missing))
     out = np.empty((count + missing, 4), np.float32)
-    _slerp_quads(*(readable(x, np.float32) for x in (a, b, t)), out.reshape(-1))
+    _slerp_quads(readable(a, np.float32), readable(b, np.float32), readable(t, np.float32), out.reshape(-1))
     return out[:count]
 
 
