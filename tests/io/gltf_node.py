@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import json
 import os
 import shutil
@@ -13,19 +15,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+# One file name for each line of input, one line of JSON for each answer; ends with its input.
 VALIDATE = """
 const validator = require(process.argv[1]);
 const fs = require("fs"), path = require("path");
+const load = file => uri => Promise.resolve(new Uint8Array(
+  fs.readFileSync(path.join(path.dirname(file), decodeURIComponent(uri)))));
 (async () => {
-  const results = [];
-  for (const file of process.argv.slice(2)) {
-    const load = uri => Promise.resolve(new Uint8Array(
-      fs.readFileSync(path.join(path.dirname(file), decodeURIComponent(uri)))));
-    const report = await validator.validateBytes(
-      new Uint8Array(fs.readFileSync(file)), { uri: file, maxIssues: 0, externalResourceFunction: load });
-    results.push(report.issues.messages.map(m => [m.severity, m.code, `${m.message} ${m.pointer || ""}`]));
+  for await (const file of require("readline").createInterface({ input: process.stdin })) {
+    const options = { uri: file, maxIssues: 0, externalResourceFunction: load(file) };
+    const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(file)), options);
+    const found = report.issues.messages.map(m => [m.severity, m.code, `${m.message} ${m.pointer || ""}`]);
+    process.stdout.write(JSON.stringify(found) + "\\n");
   }
-  console.log(JSON.stringify(results));
 })();
 """
 
@@ -55,12 +57,25 @@ def node_executable() -> str:
     return on_path
 
 
+@functools.cache
+def _validator() -> subprocess.Popen[str]:
+    command = [node_executable(), "-e", VALIDATE, "--", str(npm_package("gltf-validator"))]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    atexit.register(process.wait, 10)
+    atexit.register(process.stdin.close)  # type: ignore[union-attr]  # runs first and ends it
+    return process
+
+
 def validate(*files: Path) -> list[list[tuple[int, str, str]]]:
     """What the Khronos validator says of each file: (severity, code, text); 0 is an error, 1 a warning."""
-    if not files:
-        return []
-    command = [node_executable(), "-e", VALIDATE, "--", str(npm_package("gltf-validator")), *map(str, files)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    reports: Any = json.loads(done.stdout)
-    return [[(int(s), str(c), str(t)) for s, c, t in report] for report in reports]
+    reports: list[list[tuple[int, str, str]]] = []
+    for file in files:
+        process = _validator()
+        assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(f"{file}\n")
+        process.stdin.flush()
+        answer = process.stdout.readline()
+        assert answer, f"the validator died at {file}"
+        found: Any = json.loads(answer)
+        reports.append([(int(s), str(c), str(t)) for s, c, t in found])
+    return reports

@@ -37,7 +37,10 @@ def test_every_real_file_is_written_without_errors(data_dir: Path, tmp_path: Pat
     written: list[Path] = []
     for number, path in enumerate(REAL):
         scene = read(path)
-        for name, embed in ((f"{number}_{path.stem}.glb", False), (f"{number} {path.stem}.gltf", number % 2 == 0)):
+        names = [(f"{number}_{path.stem}.glb", False)]
+        if path.name != "Knight.glb":  # large: once is enough
+            names.append((f"{number} {path.stem}.gltf", number % 2 == 0))
+        for name, embed in names:
             write(scene, tmp_path / name, embed=embed)
             written.append(tmp_path / name)
     assert len(written) >= 50

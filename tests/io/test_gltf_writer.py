@@ -173,6 +173,8 @@ def test_real_files_come_back_bit_for_bit(path: Path, tmp_path: Path) -> None:
         write(scene, tmp_path / "copy.glb")
         once = read(tmp_path / "copy.glb")
     assert_same_scene(scene, once)
+    if path.name == "Knight.glb":  # large: once is enough
+        return
     for name, embed in (("copy.gltf", False), ("embedded.gltf", True)):
         write(once, tmp_path / name, embed=embed)
         assert_same_scene(once, read(tmp_path / name))
@@ -184,7 +186,7 @@ def _without_pictures(character: Character) -> Character:
 
 
 @pytest.mark.data
-@pytest.mark.parametrize("path", REAL[:40], ids=lambda p: f"{p.parent.name}/{p.name}")
+@pytest.mark.parametrize("path", [p for p in REAL if p.name != "Knight.glb"], ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_writing_twice_gives_the_same_bytes(path: Path, tmp_path: Path) -> None:
     write(read(path), tmp_path / "once.glb")
     write(read(tmp_path / "once.glb"), tmp_path / "twice.glb")
