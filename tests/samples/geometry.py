@@ -49,6 +49,11 @@ def face_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def depth_from_front(points: np.ndarray, triangles: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The greatest z of the mesh over each place (N, 2) of the xy plane; -inf where there is nothing."""
+    return seen_from_front(points, triangles, at)[0]
+
+
+def seen_from_front(points: np.ndarray, triangles: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is seen over each place (N, 2) of the xy plane: its z (-inf where there is nothing) and its triangle."""
     corners = points[triangles].astype(np.float64)
     a, b, c = (corners[:, i, :2] for i in range(3))
 
@@ -62,4 +67,5 @@ def depth_from_front(points: np.ndarray, triangles: np.ndarray, at: np.ndarray) 
     share = np.stack([1 - u - v, u, v], -1)
     inside = np.min(share, -1) >= -1e-9
     z = np.einsum("nfk,fk->nf", share, corners[:, :, 2])
-    return np.max(np.where(inside, z, -np.inf), 1)
+    z = np.where(inside, z, -np.inf)
+    return np.max(z, 1), np.argmax(z, 1)

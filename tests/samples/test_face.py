@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry import depth_from_front
+from geometry import depth_from_front, face_normals, seen_from_front
 
 from keypose.model import Character
 from keypose.samples.human import human
@@ -152,6 +152,23 @@ def test_looking_turns_the_ball(character: Character, posed, way: str, axis: int
     radius = np.linalg.norm(turned[left] - EYE_CENTRE, axis=1)
     assert np.allclose(radius, EYE_RADIUS, atol=2e-5), "a turned ball is the same ball"
     assert np.allclose(turned[~left], rest[~left])
+
+
+@pytest.mark.parametrize("name", [n for n in MORPHS if n != "mouthClose"])
+def test_no_shape_turns_the_skin_inside_out(character: Character, posed, name: str) -> None:
+    """Seen from the front, the skin around eyes and mouth shows its outside (mouthClose alone is half a pair)."""
+    triangles = next(p for p in character.parts if p.name == "head").mesh.triangles
+    points = posed(morphs={name: 1.0})["head"]
+    front = triangles[np.min(points[triangles][:, :, 2], axis=1) > 0.03]
+    eye, mouth = EYE_CENTRE[:2], np.array([0.0, MOUTH_Y])
+    x, y = np.meshgrid(np.linspace(-1, 1, 23), np.linspace(-1, 1, 17))
+    grid = np.stack([x.ravel(), y.ravel()], 1)
+    places = np.vstack(
+        [eye + grid * (0.033, 0.024), eye * (-1, 1) + grid * (0.033, 0.024), mouth + grid * (0.036, 0.024)]
+    )
+    z, face = seen_from_front(points, front, places + 1.3e-5)
+    turned = (face_normals(points, front)[face, 2] < 0) & np.isfinite(z)
+    assert turned.mean() < 0.004
 
 
 def test_jaw_open_lowers_teeth_tongue_and_chin(character: Character, offsets) -> None:
