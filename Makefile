@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 CLIENT := $(shell find client -type f -not -path '*/node_modules/*' -not -path '*/dist/*' 2>/dev/null)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo studio test check fast format system bench docs clean
+.PHONY: help demo studio test check fast format system bench clean
 
 help: ## list these targets
 	@echo "keypose - character animation in Python"; echo
@@ -35,7 +35,6 @@ format: $(VENV)/.tools ## format the code
 	$(BIN)/ruff format
 
 bench: $(VENV)/.tools ## ratios against other libraries and the machine's limits
-	@$(BIN)/python -m pip install -q --group peers
 	@$(BIN)/keypose bench $(ARGS)
 
 system: ## as root on Debian: install Chromium and Mesa for the tests that need them
@@ -58,7 +57,7 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml hatch_build.py $(CLIENT)
 $(VENV)/.tools: $(VENV)/.installed
 	@echo "installing the test tools"
 	@$(BIN)/python -m pip install --disable-pip-version-check -q -U "pip>=25.1"
-	@$(BIN)/python -m pip install -q --group test --group check -e '.[compression]'
+	@$(BIN)/python -m pip install -q --group test --group check --group peers -e '.[compression]'
 ifeq ($(TORCH),1)
 	@echo "installing PyTorch for the tests of gradients"
 	@$(BIN)/python -m pip install -q --group torch
