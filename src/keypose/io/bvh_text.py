@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import BinaryIO
+from io import BufferedReader
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class BvhText:
     notes: list[str]
 
 
-def parse(file: BinaryIO, *, keep_whole_frames: bool = False) -> BvhText:
+def parse(file: BufferedReader, *, keep_whole_frames: bool = False) -> BvhText:
     """Read a BVH file that is open for reading bytes, and stays open until the blocks have been read.
 
     ``keep_whole_frames`` accepts a motion block that is shorter or longer than ``Frames:`` says and keeps the whole
@@ -82,7 +82,7 @@ def parse(file: BinaryIO, *, keep_whole_frames: bool = False) -> BvhText:
     return text
 
 
-def _head(file: BinaryIO) -> tuple[bytes, re.Match[bytes] | None]:
+def _head(file: BufferedReader) -> tuple[bytes, re.Match[bytes] | None]:
     """The start of the file to beyond MOTION and its two lines, and the place of MOTION; all of it without one."""
     head = b""
     while True:
@@ -93,7 +93,7 @@ def _head(file: BinaryIO) -> tuple[bytes, re.Match[bytes] | None]:
             return head, motion
 
 
-def _parse_motion(file: BinaryIO, data: bytes, at: int, text: BvhText, keep_whole_frames: bool) -> None:
+def _parse_motion(file: BufferedReader, data: bytes, at: int, text: BvhText, keep_whole_frames: bool) -> None:
     frames = _FRAMES.match(data, at)
     if not frames:
         raise FormatError("expected 'Frames:' after MOTION", where=f"line {line_of(data, at)}")
@@ -135,7 +135,7 @@ def _parse_motion(file: BinaryIO, data: bytes, at: int, text: BvhText, keep_whol
 class _Motion:
     """The numbers behind Frame Time, read in blocks that fit the processor's cache."""
 
-    def __init__(self, file: BinaryIO, size: int, start: int, channels: int, announced: int, where: str) -> None:
+    def __init__(self, file: BufferedReader, size: int, start: int, channels: int, announced: int, where: str) -> None:
         self.file, self.size, self.start = file, size, start
         self.channels, self.announced, self.where = channels, announced, where
         self.left_over = 0
@@ -164,8 +164,8 @@ class _Motion:
 
     def refuse_numbers(self) -> None:
         """Without channels there must be none."""
-        for offset, text in self.texts():
-            if len(self.numbers(offset, text)):
+        for offset, text, end in self.texts():
+            if len(self.numbers(offset, text, end)):
                 line = line_of(self.whole(), self.start) + 1
                 raise FormatError("numbers follow, but no joint has channels", where=f"line {line}")
 
@@ -174,8 +174,8 @@ class _Motion:
         rest = np.zeros(0)
         self.left_over = 0
         read = 0
-        for offset, text in self.texts():
-            values = self.numbers(offset, text)
+        for offset, text, end in self.texts():
+            values = self.numbers(offset, text, end)
             # two reductions and no temporary array; NaN cannot come from text that is all digits
             if len(values) and (values.max() > LARGEST or values.min() < -LARGEST):
                 raise self.too_large(read, values)
@@ -188,30 +188,40 @@ class _Motion:
                 yield values[:whole].reshape(-1, self.channels)
         self.left_over = len(rest)
 
-    def texts(self) -> Iterator[tuple[int, bytes]]:
-        """Pieces of the file with their offsets, cut between lines, or between words of a very long line."""
-        self.file.seek(self.start)
-        offset, rest = self.start, b""
-        while piece := self.file.read(_BLOCK_BYTES):
-            text = rest + piece
-            cut = 1 + max(text.rfind(b"\n"), text.rfind(b"\r"))
-            cut = cut or 1 + max(text.rfind(b" "), text.rfind(b"\t"))
-            if cut:
-                yield offset, text[:cut]
-            offset, rest = offset + cut, text[cut:]
-        if rest:
-            yield offset, rest
+    def texts(self) -> Iterator[tuple[int, bytearray, int]]:
+        """Pieces of the file, cut between lines, or between words of a very long line.
 
-    def numbers(self, offset: int, text: bytes) -> Floats:
+        Each is an offset in the file and a buffer with the length of the text in it; the buffer is used again.
+        """
+        self.file.seek(self.start)
+        offset, buffer, used = self.start, bytearray(2 * _BLOCK_BYTES), 0
+        while True:
+            if len(buffer) - used < _BLOCK_BYTES:  # a word that is longer than a block
+                buffer = buffer + bytearray(len(buffer))
+            with memoryview(buffer) as view, view[used : used + _BLOCK_BYTES] as room:
+                count = self.file.readinto(room)
+            if not count:
+                break
+            used += count
+            cut = 1 + max(buffer.rfind(b"\n", 0, used), buffer.rfind(b"\r", 0, used))
+            cut = cut or 1 + max(buffer.rfind(b" ", 0, used), buffer.rfind(b"\t", 0, used))
+            if cut:
+                yield offset, buffer, cut
+                buffer[: used - cut] = buffer[cut:used]
+                offset, used = offset + cut, used - cut
+        if used:
+            yield offset, buffer, used
+
+    def numbers(self, offset: int, text: bytearray, end: int) -> Floats:
         """The numbers of one piece, without comments."""
         compiled = self.size - self.start > SMALL_BYTES
-        values, wrong = parse_block(text, 0, len(text), compiled=compiled)
-        if wrong >= 0 and text[wrong : wrong + 1] in (b"#", b"/"):
+        values, wrong = parse_block(text, 0, end, compiled=compiled)
+        if wrong >= 0 and text.startswith((b"#", b"/"), wrong):
             # comments keep their length, so that places in the text stay what they are
-            text = _COMMENT.sub(lambda comment: b" " * len(comment[0]), text)
-            values, wrong = parse_block(text, 0, len(text), compiled=compiled)
+            plain = _COMMENT.sub(lambda comment: b" " * len(comment[0]), bytes(text[:end]))
+            values, wrong = parse_block(plain, 0, end, compiled=compiled)
         if wrong >= 0:
-            word = text[wrong : wrong + 64].split(None, 1)[0]
+            word = bytes(text[wrong : min(wrong + 64, end)]).split(None, 1)[0]
             hint = "; decimals are written with a point" if b"," in word else ""
             where = f"line {line_of(self.whole(), offset + wrong)}"
             raise FormatError(f"expected a number, found {shown(word)}{hint}", where=where)

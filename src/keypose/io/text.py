@@ -20,7 +20,7 @@ _DIGITS_AND_BLANKS = re.compile(rb"[\x00-\x20+\-.0-9eE]*+")
 _BLANKS = bytes(32 if code <= 32 else code for code in range(256))
 
 
-def parse_block(data: bytes, start: int, end: int, *, compiled: bool | None = None) -> tuple[Floats, int]:
+def parse_block(data: bytes | bytearray, start: int, end: int, *, compiled: bool | None = None) -> tuple[Floats, int]:
     """The blank-separated numbers of ``data[start:end]``, and the byte offset of the first word that is no number.
 
     Shapes and units:

@@ -11,6 +11,7 @@ Source: the products of `keypose.math.euler`; Bernardes and Viollet, Quaternion 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import factorial, pi, tan
 from typing import Any
 
@@ -65,7 +66,7 @@ def quaternions_from_degrees(
     frames, count = table.shape
     if places.size and (places.min() < 0 or places.max() > count):
         raise ShapeError(f"columns: expected 0 to {count}, got {int(places.min())} to {int(places.max())}")
-    axes, parities = _axes(orders)
+    axes, parities = _axes(tuple(orders))
     if out is None:
         out, first = np.empty((frames, len(orders), 4)), 0
     if out.dtype != np.float64 or not out.flags.c_contiguous or not out.flags.writeable:
@@ -105,7 +106,7 @@ def degrees_from_quaternions(rotations: Any, orders: Sequence[str], columns: Any
         raise ShapeError("values: expected a writable, C-contiguous float64 array")
     if places.size and (places.min() < 0 or places.max() > count):
         raise ShapeError(f"columns: expected 0 to {count}, got {int(places.min())} to {int(places.max())}")
-    axes, parities = _axes(orders)
+    axes, parities = _axes(tuple(orders))
     lost = np.zeros((len(orders), 3))
     _to_degrees(
         _frozen(quaternions),
@@ -119,7 +120,8 @@ def degrees_from_quaternions(rotations: Any, orders: Sequence[str], columns: Any
     return lost
 
 
-def _axes(orders: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+@lru_cache(maxsize=64)
+def _axes(orders: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Quaternion components (1 to 3) of the three axes, (J, 3), and the parity of each order, (J,)."""
     for order in orders:
         if order not in _ORDERS:
