@@ -184,7 +184,7 @@ export class Studio {
       this.activate(file.actors[0]);
       if (this.animation && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play();
     }
-    if (file.actors.length > 0) this.view.frameAll(first ? "three-quarter" : null, first);
+    if (file.actors.length > 0) this.view.frameAll("three-quarter", first);
     if (file.actors.length === 0) this.toast("info", `${file.name} holds nothing to show`, "It has no character and no skeleton.");
   }
 
@@ -216,6 +216,10 @@ export class Studio {
     for (const actor of this.actors) if (actor.animation?.sceneId === id) this.perform(actor, null);
     if (!this.active) this.activate(this.actors[0] ?? null);
     if (this.actors.length > 0) this.view.frameAll();
+  }
+
+  openSample(name: string): void {
+    this.connection.send({ type: "open_sample", name });
   }
 
   close(id: string): void {

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from studio_page import StudioPage
 from studio_scenes import Start, arm_scene
 
-from conftest import StudioPage
 from keypose import deform, evaluate, io
 from keypose.model import Scene
 from keypose.studio import StudioServer

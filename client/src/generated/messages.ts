@@ -208,7 +208,13 @@ export interface CloseScene {
   id: string;
 }
 
-export type ClientMessage = Acknowledge | CloseScene;
+/** Open a built-in character or performance by its name. */
+export interface OpenSample {
+  type: "open_sample";
+  name: string;
+}
+
+export type ClientMessage = Acknowledge | CloseScene | OpenSample;
 
 /** One dropped file: its name (with folders, where a folder was dropped) and bytes. */
 export interface UploadFile {

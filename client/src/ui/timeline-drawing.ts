@@ -39,7 +39,7 @@ export function drawTimeline(canvas: HTMLCanvasElement, width: number, height: n
   context.clearRect(0, 0, width, height);
   context.font = `10px ${colors.mono}`;
   context.textBaseline = "middle";
-  const { animation, toX } = state;
+  const { animation } = state;
   if (!animation) {
     context.fillStyle = colors.faint;
     context.textAlign = "center";
@@ -47,7 +47,7 @@ export function drawTimeline(canvas: HTMLCanvasElement, width: number, height: n
     return;
   }
   range(context, height, colors, state);
-  ruler(context, width, height, colors, animation, toX);
+  ruler(context, width, height, colors, animation, state);
   keys(context, height, colors, animation, state);
   playhead(context, height, colors, animation, state);
 }
@@ -69,7 +69,7 @@ function range(c: CanvasRenderingContext2D, height: number, colors: TimelineColo
   }
 }
 
-function ruler(c: CanvasRenderingContext2D, width: number, height: number, colors: TimelineColors, animation: Animation, toX: (t: number) => number): void {
+function ruler(c: CanvasRenderingContext2D, width: number, height: number, colors: TimelineColors, animation: Animation, { time, toX }: TimelineState): void {
   const frames = Math.max(1, animation.frames - 1);
   const perFrame = (toX(animation.end) - toX(animation.start)) / frames;
   const label = STEPS.find((s) => s * perFrame >= 54) ?? STEPS.at(-1)!;
@@ -83,7 +83,8 @@ function ruler(c: CanvasRenderingContext2D, width: number, height: number, color
     c.moveTo(x, major ? 4 : RULER + 2);
     c.lineTo(x, major ? height : RULER + 6);
     c.stroke();
-    if (major && x < width - 30) {
+    // the number under the playhead is shown by the playhead
+    if (major && x < width - 30 && Math.abs(x + 8 - toX(time)) > 24) {
       c.fillStyle = colors.faint;
       c.fillText(String(frame), x + 3.5, 10.5);
     }

@@ -56,12 +56,13 @@ export class OrbitCamera {
   }
 
   /** Show a box whole, from the present direction or a named one. */
-  frame(box: THREE.Box3, view: View | null, immediately = false): void {
+  frame(box: THREE.Box3, view: View | null, immediately = false, turn = 1): void {
     const center = box.getCenter(new THREE.Vector3());
     const size = box.getSize(new THREE.Vector3());
     const direction = view
       ? new THREE.Vector3(...DIRECTIONS[view])
       : this.camera.position.clone().sub(this.controls.target);
+    if (view === "three-quarter") direction.x *= turn;
     direction.normalize();
     const vertical = Math.tan((this.camera.fov * Math.PI) / 360);
     const flat = Math.hypot(direction.x, direction.z);

@@ -31,14 +31,15 @@ export class Ghosts {
   constructor(actor: Actor, settings: GhostSettings, palette: Palette) {
     this.pose = new Pose(actor.rig.count, actor.morphNames.length);
     this.world = new Float64Array(12 * actor.rig.count);
-    const plainDepth = this.keep(ghostDepthMaterial());
+    const behind = 0.05 * actor.height;
+    const plainDepth = this.keep(ghostDepthMaterial(behind));
     const add = (frames: number, color: THREE.Color, strength: number, order: number) => {
-      const plain = this.keep(ghostMaterial(color, strength));
+      const plain = this.keep(ghostMaterial(color, strength, behind));
       const ghost: Ghost = { frames, body: null, sticks: null };
       if (actor.hasMesh) {
         ghost.body = new Body(actor.sources, actor.morphNames.length, (source) =>
           // parts that morph need materials of their own, because these hold the weights
-          source.morphs ? [this.keep(ghostDepthMaterial()), this.keep(ghostMaterial(color, strength))] : [plainDepth, plain],
+          source.morphs ? [this.keep(ghostDepthMaterial(behind)), this.keep(ghostMaterial(color, strength, behind))] : [plainDepth, plain],
         );
         // each ghost lays down its depth before its colour, the furthest in time first
         for (const mesh of ghost.body.meshes) mesh.renderOrder += 10 + 2 * order;

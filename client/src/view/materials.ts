@@ -82,6 +82,8 @@ const GHOST_VERTEX = /* glsl */ `
 #include <common>
 #include <morphtarget_pars_vertex>
 #include <skinning_pars_vertex>
+uniform float behind;
+invariant gl_Position;
 varying vec3 vNormalView;
 varying vec3 vPositionView;
 void main() {
@@ -96,6 +98,9 @@ void main() {
   #include <project_vertex>
   vNormalView = transformedNormal;
   vPositionView = -mvPosition.xyz;
+  // as deep as if it stood a little further away: where it nearly touches the character, the character stays clean
+  vec4 deeper = projectionMatrix * vec4(mvPosition.xy, mvPosition.z - behind, 1.0);
+  gl_Position.z = deeper.z / deeper.w * gl_Position.w;
 }`;
 
 const GHOST_FRAGMENT = /* glsl */ `
@@ -110,25 +115,23 @@ void main() {
   #include <colorspace_fragment>
 }`;
 
-export function ghostMaterial(color: THREE.Color, strength: number): THREE.ShaderMaterial {
+export function ghostMaterial(color: THREE.Color, strength: number, behind: number): THREE.ShaderMaterial {
   return new THREE.ShaderMaterial({
     vertexShader: GHOST_VERTEX,
     fragmentShader: GHOST_FRAGMENT,
-    uniforms: { color: { value: color }, strength: { value: strength } },
+    uniforms: { color: { value: color }, strength: { value: strength }, behind: { value: behind } },
     transparent: true,
     depthWrite: false,
     depthFunc: THREE.LessEqualDepth,
-    polygonOffset: true,
-    polygonOffsetFactor: -1,
-    polygonOffsetUnits: -1,
   });
 }
 
 /** Fills only the depth buffer, so that a ghost does not show its own far side. */
-export function ghostDepthMaterial(): THREE.ShaderMaterial {
+export function ghostDepthMaterial(behind: number): THREE.ShaderMaterial {
   return new THREE.ShaderMaterial({
     vertexShader: GHOST_VERTEX,
     fragmentShader: "void main() { gl_FragColor = vec4(0.0); }",
+    uniforms: { behind: { value: behind } },
     colorWrite: false,
     transparent: true,
   });

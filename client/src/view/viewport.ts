@@ -26,6 +26,8 @@ export interface FrameStats {
   fps: number;
   /** Script milliseconds per frame: animation, kinematics, matrices, read-outs. */
   script: number;
+  /** The slowest twentieth of the frames starts here. */
+  scriptHigh: number;
   /** Milliseconds of three.js' own work to hand the frame to the browser. */
   submit: number;
   drawCalls: number;
@@ -104,7 +106,7 @@ export class Viewport {
   arrange(): void {
     const alone = this.actors.length === 1;
     const widths = this.actors.map((actor) => Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
-    const gaps = this.actors.map((actor) => 0.18 * actor.height);
+    const gaps = this.actors.map((actor) => 0.3 * actor.height);
     let x = -0.5 * (widths.reduce((n, w) => n + w, 0) + gaps.slice(1).reduce((n, g) => n + g, 0));
     this.actors.forEach((actor, n) => {
       const { min, max } = actor.bounds;
@@ -137,7 +139,8 @@ export class Viewport {
   private stageSize = 2;
 
   frameAll(view: View | null = null, immediately = false): void {
-    this.orbit.frame(this.box(), view, immediately);
+    // the more stand side by side, the more from the front
+    this.orbit.frame(this.box(), view, immediately, 1 / Math.max(1, this.actors.filter((a) => a.visible).length));
     this.invalidate();
   }
 
@@ -315,14 +318,16 @@ export class Viewport {
 
   stats(): FrameStats {
     const count = Math.min(this.samples, SAMPLES);
-    const median = (values: Float64Array) => [...values.subarray(0, count)].sort((a, b) => a - b)[count >> 1] ?? 0;
+    const at = (values: Float64Array, share: number) =>
+      values.slice(0, count).sort()[Math.min(count - 1, Math.floor(share * count))] ?? 0;
     const newest = this.frameTimes[(this.samples + SAMPLES - 1) % SAMPLES];
     const recent = this.frameTimes.subarray(0, count).filter((t) => newest - t < 1000 && performance.now() - newest < 500);
     return {
       frames: count,
       fps: recent.length > 1 ? ((recent.length - 1) * 1000) / Math.max(1, newest - Math.min(...recent)) : 0,
-      script: median(this.scriptTimes),
-      submit: median(this.submitTimes),
+      script: at(this.scriptTimes, 0.5),
+      scriptHigh: at(this.scriptTimes, 0.95),
+      submit: at(this.submitTimes, 0.5),
       drawCalls: this.renderer.info.render.calls,
       triangles: this.renderer.info.render.triangles,
     };

@@ -129,6 +129,7 @@ async def _events(session: Session, socket: WebSocket) -> None:
             await socket.send_bytes(await outbox.next())
 
     sender = asyncio.create_task(send())
+    tasks: set[asyncio.Task[None]] = set()  # the event loop itself keeps only weak references
     try:
         async for text in socket.iter_text():
             message = _message(text)
@@ -137,6 +138,10 @@ async def _events(session: Session, socket: WebSocket) -> None:
                     outbox.acknowledge(message["sequence"])
                 case "close_scene":
                     session.close(str(message.get("id")))
+                case "open_sample":
+                    opening = asyncio.create_task(session.open_sample(str(message.get("name"))))
+                    tasks.add(opening)
+                    opening.add_done_callback(tasks.discard)
                 case _:
                     await socket.close(1003, "unknown message")
                     break

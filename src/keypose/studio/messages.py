@@ -280,7 +280,15 @@ class CloseScene:
     id: str
 
 
-ClientMessage = Acknowledge | CloseScene
+@dataclass(frozen=True, slots=True)
+class OpenSample:
+    """Open a built-in character or performance by its name."""
+
+    type: Literal["open_sample"]
+    name: str
+
+
+ClientMessage = Acknowledge | CloseScene | OpenSample
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,10 +85,24 @@ class Session:
         for name, scene in waiting:
             try:
                 await self.add(name, scene)
-            except KeyposeError as error:
-                self.broadcast(messages.Failure("failure", f"{name} cannot be shown", str(error)))
+            except (KeyposeError, ValueError, MemoryError) as error:
+                self.broadcast(messages.Failure("failure", f"{name} cannot be shown", str(error) or "too large"))
             finally:
                 self._expected -= 1
+
+    async def open_sample(self, name: str) -> None:
+        """Open a built-in character; a name that does not exist is told to all."""
+        from keypose import samples
+
+        job = f"sample {next(self._jobs)}"
+        self.broadcast(messages.Progress("progress", job, f"Making {name[:40]}", None, done=False), job)
+        try:
+            scene = await asyncio.to_thread(samples.load, name)
+            await self.add(f"{samples.PREFIX}{name}", scene)
+        except KeyposeError as error:
+            self.broadcast(messages.Failure("failure", "This cannot be opened", str(error)))
+        finally:
+            self.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
 
     def close(self, id: str) -> None:
         """Forget a scene."""
@@ -115,8 +129,8 @@ class Session:
             for name, scene in scenes:
                 try:
                     opened.append(await self.add(name, scene))
-                except KeyposeError as error:
-                    errors.append(f"{name}: {error}")
+                except (KeyposeError, ValueError, MemoryError) as error:
+                    errors.append(f"{name}: {str(error) or 'too large'}")
             return messages.UploadResult(opened, errors)
         finally:
             self.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)

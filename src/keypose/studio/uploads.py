@@ -70,6 +70,6 @@ def open_upload(
             report(name.name, count / len(wanted))
             try:
                 scenes.append((name.name, open_file(Path(folder, name))))
-            except (KeyposeError, OSError) as error:
-                errors.append(str(error).replace(f"{folder}/", ""))
+            except (KeyposeError, OSError, MemoryError) as error:
+                errors.append((str(error) or f"{name}: too large").replace(f"{folder}/", ""))
     return scenes, errors
