@@ -19,9 +19,12 @@ import numpy as np
 
 from keypose.errors import ShapeError
 from keypose.kernels.runtime import exact_inlined, exact_kernel
+from keypose.kernels.vectors import pointer
 from keypose.kernels.words import (
     BLOCK,
     CHARACTERS,
+    HIGH_BITS,
+    OVER_NINE,
     address_of,
     bits_of_float,
     blank_mask,
@@ -29,15 +32,25 @@ from keypose.kernels.words import (
     digits_to_integer,
     float_of_bits,
     integer_to_digits,
+    join_digits,
     leading_digits,
     leading_zeros,
     load_byte,
     load_word,
     multiply_wide,
+    point_mask,
     product_error,
     store_byte,
     store_word,
     trailing_zeros,
+)
+from keypose.kernels.wordvectors import (
+    COUNT,
+    any_bit,
+    gather_text,
+    gather_words,
+    load_triplets,
+    store_quotients,
 )
 
 MAX_DECIMALS = 15
@@ -49,6 +62,9 @@ _SMALLEST, _LARGEST = -342, 308  # decimal exponents of nineteen digits that are
 _HARD = 1024  # numbers set aside for Python in one run of the kernel
 
 _CHUNK = 256  # numbers formatted at a time
+_TEXT_CHUNK = 32 * BLOCK  # bytes whose marks are found at a time
+_LONGEST = BLOCK  # marks of a single word: more points than this are in no number
+_BYTE, _ONE, _THREE, _SEVEN = np.uint64(0xFF), np.uint64(1), np.uint64(3), np.uint64(7)
 _EIGHT_DIGITS = np.uint64(100000000)
 _ROUNDER = 4503599627370496.0  # 2^52: adding and taking it away rounds to an integer, half to even
 
@@ -156,26 +172,61 @@ def _count_tokens(text, start, end, rest):
     return np.int64(total)
 
 
+@exact_inlined
+def _find_marks(text, block, end, rest, before, marks, count):
+    """Append the places in one block where a number begins, has a point, or ends; (count, carry to the next block)."""
+    if end - block >= BLOCK:
+        blank, points = blank_mask(text, block), point_mask(text, block)
+    else:
+        beyond = ~np.uint64(0) << np.uint64(end - block)
+        blank, points = blank_mask(rest, 0) | beyond, point_mask(rest, 0) & ~beyond
+    found = blank ^ ((blank << np.uint64(1)) | before) | points
+    total = count + np.int64(count_ones(found))
+    # Eight at a time without asking; what is too much is overwritten later.
+    while count < total:
+        for _ in range(8):
+            marks[count] = block + np.int64(trailing_zeros(found))
+            found &= found - np.uint64(1)
+            count += 1
+    return total, blank >> np.uint64(63)
+
+
 @exact_kernel
 def _parse(data, start, end, rest, values, count, table, hard):
     """(status, count, place, set aside): reads until the end, a bad number, or a full list of hard ones."""
     text, rest = address_of(data), address_of(rest)
-    safe = data.shape[0] - 24  # a number that starts up to here may be read by whole words
-    before, inside, first, set_aside = np.uint64(1), False, start, 0
-    for block in range(start, end + 1, BLOCK):  # up to the end itself, where the last number ends
-        blank = _blanks(text, block, end, rest)
-        change = blank ^ ((blank << np.uint64(1)) | before)
-        before = blank >> np.uint64(63)
-        while change != 0:
-            at = np.int64(np.uint64(block) + trailing_zeros(change))
-            change &= change - np.uint64(1)
-            if not inside:
-                first, inside = at, True
-                continue
-            inside = False
+    memory = np.empty(_TEXT_CHUNK + 2 * BLOCK, np.int64)
+    marks, out = pointer(memory), pointer(values)
+    powers, integer_powers = address_of(_POWERS), address_of(_INTEGER_POWERS)
+    safe = data.shape[0] - 32  # a number that starts up to here may be read by whole words
+    before, found, set_aside = np.uint64(1), 0, 0
+    plain, patience = 0, COUNT
+    for chunk in range(start, end + 1, _TEXT_CHUNK):  # up to the end itself, where the last number ends
+        for block in range(chunk, min(chunk + _TEXT_CHUNK, end + 1), BLOCK):
+            found, before = _find_marks(text, block, end, rest, before, marks, found)
+        k = 0
+        while True:
+            if plain == 0:
+                while k + 3 * COUNT <= found and marks[k + 3 * COUNT - 1] <= safe:
+                    if _eight_numbers(text, marks, k, out, count, powers, integer_powers):
+                        break
+                    k += 3 * COUNT
+                    count += COUNT
+                    patience = COUNT
+                # Something unusual: the next few one by one, and more of them where it stays so.
+                plain, patience = patience, min(2 * patience, 64 * COUNT)
+            plain = max(plain - 1, 0)
+            # One number: from the mark at k to the next that is not a point.
+            last = k + 1
+            while last < found and marks[last] < end and load_byte(text, marks[last]) > _SPACE:
+                last += 1
+            if last >= found:
+                break
+            first, at = marks[k], marks[last]
+            k = last + 1
             value, ok = 0.0, False
             if first <= safe:
-                value, ok = _common_number(text, first, at)
+                value, ok = _common_number(text, first, at, table)
             if not ok:
                 value, kind = _any_number(text, first, at, table)
                 if kind == _NO_NUMBER:
@@ -187,12 +238,46 @@ def _parse(data, start, end, rest, values, count, table, hard):
             count += 1
             if set_aside == hard.shape[0]:
                 return _FULL, count, at, set_aside
+        for j in range(found - k):  # the beginning of a number that goes on in the next chunk
+            marks[j] = marks[k + j]
+        found -= k
+        if found > _LONGEST:
+            return _BAD, count, marks[0], set_aside
     return _OK, count, end, set_aside
 
 
 @exact_inlined
-def _common_number(text, first, end):
-    """(value, True) for a sign, up to eight digits, a point and up to eight digits; (0, False) for others."""
+def _eight_numbers(text, marks, k, values, count, powers, integer_powers):
+    """Eight numbers of at most seven digits, a point and at most seven digits; True if one is not like that.
+
+    ``wrong`` collects bits that are set where a number is different.
+    """
+    first, point, last = load_triplets(marks, k)
+    word = gather_text(text, first)
+    negative = (((word & _BYTE) ^ np.uint64(_MINUS)) - _ONE) >> np.uint64(63)
+    word = word >> (negative << _THREE)
+    digits, places = point - first - negative, last - point - _ONE
+    fraction = gather_text(text, point + _ONE)
+    wrong = (digits >> _THREE) | (places >> _THREE) | ((digits + places - _ONE) >> np.uint64(63))
+    digits, places = digits & _SEVEN, places & _SEVEN
+    eight_digits, eight_places = digits << _THREE, places << _THREE
+    wrong = wrong | (((word >> eight_digits) & _BYTE) ^ np.uint64(_POINT))
+    wrong = wrong | ((np.uint64(_SPACE) - ((fraction >> eight_places) & _BYTE)) >> np.uint64(63))
+    half = np.uint64(32) - (digits << np.uint64(2))
+    word = ((word ^ CHARACTERS) << half) << half
+    half = np.uint64(32) - (places << np.uint64(2))
+    fraction = ((fraction ^ CHARACTERS) << half) << half
+    wrong = wrong | (((word + OVER_NINE) | word | (fraction + OVER_NINE) | fraction) & HIGH_BITS)
+    if any_bit(wrong):
+        return True
+    mantissa = join_digits(word) * gather_words(integer_powers, places) + join_digits(fraction)
+    store_quotients(values, count, mantissa, powers, places, negative << np.uint64(63))
+    return False
+
+
+@exact_inlined
+def _common_number(text, first, end, table):
+    """(value, True) for a sign, up to eight digits, a point and up to sixteen digits; (0, False) for others."""
     sign = load_byte(text, first)
     negative = sign == _MINUS
     at = first + np.intp(negative or sign == _PLUS)
@@ -206,8 +291,17 @@ def _common_number(text, first, end):
         places = leading_digits(word)
         mantissa = mantissa * _INTEGER_POWERS[places] + digits_to_integer(word, places)
         at += np.int64(places) + 1
-    value = np.float64(np.int64(mantissa)) / _POWERS[places]
-    ok = at == end and digits + places > 0 and mantissa <= _EXACT
+        if places == 8 and at < end:
+            word = load_word(text, at)
+            more = leading_digits(word)
+            mantissa = mantissa * _INTEGER_POWERS[more] + digits_to_integer(word, more)
+            at += np.int64(more)
+            places += more
+    ok = at == end and digits + places > 0 and digits + places < 20
+    if mantissa <= _EXACT:
+        value = np.float64(np.int64(mantissa)) / _POWERS[places]
+    else:
+        value = _scaled(mantissa, -np.int64(places), table)
     return -value if negative else value, ok
 
 

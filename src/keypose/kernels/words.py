@@ -17,8 +17,8 @@ _BYTE, _WORD, _SIZE = ir.IntType(8), ir.IntType(64), ir.IntType(np.intp(0).items
 BLOCK = 64  # bytes looked at by `blank_mask`
 
 CHARACTERS = np.uint64(0x3030303030303030)  # from digits to their characters and back
-_OVER_NINE = np.uint64(0x7676767676767676)
-_HIGH_BITS = np.uint64(0x8080808080808080)
+OVER_NINE = np.uint64(0x7676767676767676)
+HIGH_BITS = np.uint64(0x8080808080808080)
 
 
 @intrinsic
@@ -68,18 +68,23 @@ store_byte = _writer(_BYTE, types.uint8)
 store_word = _writer(_WORD, types.uint64)
 
 
-@intrinsic
-def blank_mask(typing, text, at):
-    """Bit k is set where byte ``at + k`` is a blank, 0 to 32, for 64 bytes that must all be readable."""
+def _mask(comparison, value, doc):
+    def typed(typing, text, at):
+        def generate(context, builder, sig, args):
+            block = ir.VectorType(_BYTE, BLOCK)
+            data = read(builder, _pointer(context, builder, sig, args, block), 1)
+            return builder.bitcast(
+                builder.icmp_unsigned(comparison, data, ir.Constant(block, [_BYTE(value)] * BLOCK)), _WORD
+            )
 
-    def generate(context, builder, sig, args):
-        block = ir.VectorType(_BYTE, BLOCK)
+        return types.uint64(types.intp, at), generate
 
-        data = read(builder, _pointer(context, builder, sig, args, block), 1)
-        blank = builder.icmp_unsigned("<=", data, ir.Constant(block, [_BYTE(32)] * BLOCK))
-        return builder.bitcast(blank, _WORD)
+    typed.__doc__ = doc
+    return intrinsic(typed)
 
-    return types.uint64(types.intp, at), generate
+
+blank_mask = _mask("<=", 32, "Bit k is set where byte at + k is a blank, 0 to 32; all 64 bytes must be readable.")
+point_mask = _mask("==", 46, "Bit k is set where byte at + k is a decimal point; all 64 bytes must be readable.")
 
 
 def _bit_count(name, with_flag):
@@ -147,8 +152,18 @@ def leading_digits(word):
     """How many of the eight characters, from the first on, are digits."""
     offset = word ^ CHARACTERS
     # A byte above 9 sets its high bit; a carry spoils later bytes only, and the first one is what counts.
-    beyond = ((offset + _OVER_NINE) | offset) & _HIGH_BITS
+    beyond = ((offset + OVER_NINE) | offset) & HIGH_BITS
     return trailing_zeros(beyond) >> np.uint64(3)
+
+
+@exact_inlined
+def join_digits(digits):
+    """The number of eight digits, one per byte; of one word or of several in a vector."""
+    # Neighbouring digits into pairs, then both halves of four pairs at once.
+    pairs = digits * np.uint64(10) + (digits >> np.uint64(8))
+    even = (pairs & np.uint64(0x000000FF000000FF)) * np.uint64(0x000F424000000064)
+    odd = ((pairs >> np.uint64(16)) & np.uint64(0x000000FF000000FF)) * np.uint64(0x0000271000000001)
+    return (even + odd) >> np.uint64(32)
 
 
 @exact_inlined
@@ -157,11 +172,7 @@ def digits_to_integer(word, count):
     # Push the digits to the end, so that zeros come before them; in two steps, for 64 at once is not defined.
     half = np.uint64(32) - (count << np.uint64(2))
     digits = ((word ^ CHARACTERS) << half) << half
-    # Neighbouring digits into pairs, then both halves of four pairs at once.
-    pairs = digits * np.uint64(10) + (digits >> np.uint64(8))
-    even = (pairs & np.uint64(0x000000FF000000FF)) * np.uint64(0x000F424000000064)
-    odd = ((pairs >> np.uint64(16)) & np.uint64(0x000000FF000000FF)) * np.uint64(0x0000271000000001)
-    return (even + odd) >> np.uint64(32)
+    return join_digits(digits)
 
 
 @exact_inlined
