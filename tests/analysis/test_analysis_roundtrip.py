@@ -12,7 +12,7 @@ from keypose.errors import ShapeError
 from keypose.evaluate import resample, to_clip
 from keypose.math import quat
 from keypose.model import Clip, Motion, Pose, Skeleton
-from synthetic import as_type, random_pose, random_skeleton
+from tests.synthetic import as_type, random_pose, random_skeleton
 
 
 @pytest.fixture

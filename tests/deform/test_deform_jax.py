@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from keypose import deform, evaluate
 from keypose.model import Channel, Clip, Curve, CurveKind, Pose, Property
-from synthetic import random_mesh, random_pose, random_rotations, random_skeleton, random_skin
+from tests.synthetic import random_mesh, random_pose, random_rotations, random_skeleton, random_skin
 
 pytestmark = pytest.mark.slow
 jax = pytest.importorskip("jax")

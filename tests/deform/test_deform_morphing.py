@@ -13,7 +13,7 @@ from keypose.errors import ShapeError
 from keypose.evaluate import world
 from keypose.math import rigid
 from keypose.model import Character, Mesh, MorphSet, Part, Skin
-from synthetic import random_mesh, random_pose, random_skeleton, random_skin
+from tests.synthetic import random_mesh, random_pose, random_skeleton, random_skin
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from conftest import data_files
 from keypose import deform
 from keypose.deform import compiled
 from keypose.errors import ShapeError, UnknownName
@@ -18,7 +17,8 @@ from keypose.evaluate import compiled as evaluate_compiled
 from keypose.evaluate import world
 from keypose.math import dualquat, quat, rigid
 from keypose.model import Mesh, Pose, Skeleton, Skin
-from synthetic import as_type, random_mesh, random_pose, random_rotations, random_skeleton, random_skin
+from tests.conftest import data_files
+from tests.synthetic import as_type, random_mesh, random_pose, random_rotations, random_skeleton, random_skin
 
 METHODS = deform.METHODS
 

@@ -10,7 +10,7 @@ from keypose.errors import ShapeError
 from keypose.evaluate import add, blend, difference
 from keypose.math import quat
 from keypose.model import Pose
-from synthetic import as_type, random_pose
+from tests.synthetic import as_type, random_pose
 
 
 @pytest.fixture

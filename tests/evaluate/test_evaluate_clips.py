@@ -37,7 +37,7 @@ from keypose.model import (
     Property,
     Skeleton,
 )
-from synthetic import as_type, random_pose, random_rotations, random_skeleton
+from tests.synthetic import as_type, random_pose, random_rotations, random_skeleton
 
 T, R, S, W = Property.TRANSLATION, Property.ROTATION, Property.SCALE, Property.WEIGHT
 

@@ -12,7 +12,7 @@ from keypose.errors import ShapeError
 from keypose.evaluate import sample_curve
 from keypose.math import quat
 from keypose.model import Curve, CurveKind, Extrapolation, Interpolation
-from synthetic import random_rotations
+from tests.synthetic import random_rotations
 
 STEP, LINEAR, HERMITE = Interpolation.STEP, Interpolation.LINEAR, Interpolation.HERMITE
 TIMES = np.array([0.1, 0.35, 0.4, 1.0, 2.5])

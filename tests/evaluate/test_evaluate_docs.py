@@ -7,7 +7,7 @@ import doctest
 import numpy as np
 import pytest
 
-from conftest import ROOT
+from tests.conftest import ROOT
 
 
 @pytest.mark.parametrize("page", ["evaluate.md", "skinning.md"])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from conftest import ROOT
 from keypose.errors import ShapeError
 from keypose.evaluate import compiled, local, world, world_rotations_positions
 from keypose.math import quat, rigid
 from keypose.model import Pose, Skeleton
-from synthetic import as_type, chain, random_pose, random_rotations, random_skeleton
+from tests.conftest import ROOT
+from tests.synthetic import as_type, chain, random_pose, random_rotations, random_skeleton
 
 X, Y, Z = np.eye(3)
 
@@ -162,7 +162,7 @@ def vars_of(pose: Pose) -> tuple[object, object, object]:
 
 def test_few_frames_do_not_load_the_compiler() -> None:
     script = (
-        "import sys, numpy as np; sys.path.insert(0, 'tests'); from synthetic import *;"
+        "import sys, numpy as np; from tests.synthetic import random_pose, random_skeleton;"
         "from keypose.evaluate import world; rng = np.random.default_rng(0); s = random_skeleton(rng, 60);"
         "world(s, random_pose(rng, (100,), 60)); print('numba' in sys.modules)"
     )

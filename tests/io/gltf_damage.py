@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gltf_files import glb_of, split
+from tests.io.gltf_files import glb_of, split
 
 MEMORY = 1 << 30
 SECONDS_PER_FILE = 10

@@ -7,11 +7,11 @@ import stat
 from pathlib import Path
 
 import pytest
-from bvh_files import SMALL, written
 
 import keypose.io
 from keypose.errors import FormatError
 from keypose.io.atomic import replacing
+from tests.io.bvh_files import SMALL, written
 
 
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

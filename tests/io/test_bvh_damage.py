@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bvh_files import SMALL, moving_figure
-from damage import damaged, load_damaged
 
-from conftest import find_data_dir
+from tests.conftest import find_data_dir
+from tests.io.bvh_files import SMALL, moving_figure
+from tests.io.damage import damaged, load_damaged
 
 
 def sound_files(folder: Path) -> list[Path]:

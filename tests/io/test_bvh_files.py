@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_files import differences, world_of
 
 import keypose.io
 from keypose.io.axes import y_up_rotation
 from keypose.math import quat
 from keypose.model import Scene
+from tests.io.bvh_files import differences, world_of
 
 pytestmark = pytest.mark.data
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_files import SMALL, one_joint, turns, world_of, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ import keypose.io
 from keypose.errors import FormatError
 from keypose.io.bvh import rate_from_frame_time
 from keypose.math import quat
+from tests.io.bvh_files import SMALL, one_joint, turns, world_of, written
 
 ORDERS = ["".join(p) for p in itertools.permutations("XYZ")]
 

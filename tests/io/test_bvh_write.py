@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bvh_files import SMALL, differences, one_joint, still, world_of, written
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ import keypose.io
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.math import quat
 from keypose.model import Channel, Character, Clip, Curve, CurveKind, Motion, Part, Pose, Property, Scene, Skeleton
+from tests.io.bvh_files import SMALL, differences, one_joint, still, world_of, written
 
 # what the format is promised to keep: 1e-3 mm and 1e-4 degrees
 MM, DEG = 1e-3, 1e-4

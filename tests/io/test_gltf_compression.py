@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import GltfFile
 
 from keypose.errors import FormatError, MissingExtra
 from keypose.io.gltf import read
 from keypose.model import Clip, Property
+from tests.io.gltf_files import GltfFile
 
 MESHOPT = "EXT_meshopt_compression"
 DRACO = "KHR_draco_mesh_compression"

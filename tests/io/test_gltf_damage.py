@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from damage import load_damaged
-from gltf_files import GltfFile
 
-from conftest import find_data_dir
+from tests.conftest import ROOT, find_data_dir
+from tests.io.damage import load_damaged
+from tests.io.gltf_files import GltfFile
 
-PROGRAM = Path(__file__).with_name("gltf_damage.py")
 REAL = [
     "gltf/khronos/SimpleSkin.gltf",
     "gltf/tinygltf/singleBlendshapeCube_sparse.glb",
@@ -80,8 +79,8 @@ def everything(folder: Path) -> list[Path]:
 
 def read_damaged(count: int, seed: int, sources: list[Path]) -> dict[str, Any]:
     """What a process of its own says of damaged files; it may neither hang nor crash."""
-    command = [sys.executable, "-W", "error", str(PROGRAM), str(count), str(seed), *map(str, sources)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-W", "error", "-m", "tests.io.gltf_damage", str(count), str(seed), *map(str, sources)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=ROOT)
     assert done.returncode == 0, f"rc {done.returncode}: {done.stderr[-2000:]}"
     return json.loads(done.stdout)
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import GltfFile, glb_of
 
-from conftest import data_files
 from keypose import evaluate
 from keypose.errors import FormatError
 from keypose.io.gltf import read
 from keypose.math import quat
 from keypose.model import Clip, CurveKind, Interpolation, Property, Scene
+from tests.conftest import data_files
+from tests.io.gltf_files import GltfFile, glb_of
 
 HALF = float(np.sqrt(0.5))
 

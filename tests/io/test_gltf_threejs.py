@@ -14,14 +14,14 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from gltf_node import npm_package
 
-from conftest import find_data_dir
 from keypose import deform, evaluate
 from keypose.io.gltf import hierarchy, read, write
 from keypose.io.gltf.checking import Notes, parse_json
 from keypose.io.gltf.container import open_container
 from keypose.io.gltf.document import parse
+from tests.conftest import find_data_dir
+from tests.io.gltf_node import npm_package
 
 pytestmark = [pytest.mark.browser, pytest.mark.data]
 

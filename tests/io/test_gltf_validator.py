@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from gltf_node import validate
 
-from conftest import data_files
 from keypose.io.gltf import read, write
+from tests.conftest import data_files
+from tests.io.gltf_node import validate
 
 # Warnings about how the source built its node tree, which is kept as it is.
 OF_THE_SOURCE = {

@@ -9,11 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_files import split
-from gltf_node import validate
 
 import keypose
-from conftest import data_files
 from keypose import evaluate, samples
 from keypose.analysis.roundtrip import roundtrip_error
 from keypose.errors import FormatError
@@ -40,7 +37,10 @@ from keypose.model import (
     Skeleton,
     Skin,
 )
-from synthetic import random_skeleton
+from tests.conftest import data_files
+from tests.io.gltf_files import split
+from tests.io.gltf_node import validate
+from tests.synthetic import random_skeleton
 
 REAL = [p for pattern in ("gltf/**/*.gltf", "gltf/**/*.glb", "vrm/*.vrm", "vrm/*.vrma") for p in data_files(pattern)]
 STEP, LINEAR, HERMITE = Interpolation.STEP, Interpolation.LINEAR, Interpolation.HERMITE

@@ -7,7 +7,7 @@ import doctest
 import pytest
 
 import keypose.io
-from conftest import ROOT
+from tests.conftest import ROOT
 
 
 def test_the_package_page() -> None:

@@ -8,12 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from bvh_files import SMALL, written
 
 import keypose.io
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.io import registry
 from keypose.model import Scene
+from tests.io.bvh_files import SMALL, written
 
 
 def test_content_decides_before_the_suffix(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_saving_the_pieces_of_a_scene(tmp_path: Path) -> None:
 
 
 def test_a_format_can_be_added_and_only_read(tmp_path: Path) -> None:
-    added = registry.Format("lines", (".lines",), lambda head: head.startswith(b"LINES"), "test_registry:read_lines")
+    added = registry.Format("lines", (".lines",), lambda head: head.startswith(b"LINES"), f"{__name__}:read_lines")
     registry.register(added)
     try:
         assert keypose.io.load(written(tmp_path, "LINES\n1\n2\n", "a.txt")).notes == ("3 lines",)

@@ -32,7 +32,7 @@ from keypose.model import (
     Skeleton,
     Skin,
 )
-from synthetic import random_mesh, random_pose, random_rotations, random_skeleton, random_skin
+from tests.synthetic import random_mesh, random_pose, random_rotations, random_skeleton, random_skin
 
 
 @pytest.fixture

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from keypose.model import Character, Material, Mesh, MorphSet, Motion, Part, Pose, Scene, Skeleton, Skin
 from keypose.render import RenderSettings
-
-
-def data_files(pattern: str) -> list[Path]:
-    """As in the tests' root, whose module name other folders' own conftest.py may have taken."""
-    spec = importlib.util.spec_from_file_location("root_conftest", Path(__file__).parents[1] / "conftest.py")
-    root = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(root)
-    return root.data_files(pattern)
 
 
 @cache

@@ -11,8 +11,8 @@ from keypose.errors import KeyposeError
 from keypose.model import Character, Image, Material, Mesh, Part, Pose, Scene, Skeleton
 from keypose.render import Camera, RenderSettings, render_image
 from keypose.render.settings import encoded
-
-from .conftest import arm, data_files, wave
+from tests.conftest import data_files
+from tests.render.conftest import arm, wave
 
 
 def both(scene, time_s=0.3, **changes):

@@ -7,8 +7,7 @@ from keypose import deform, evaluate, io
 from keypose.model import Character, Pose, Scene, Skeleton
 from keypose.render import DARK, Camera, RenderSettings, render_image
 from keypose.render.bones import axes_figure, bones_figure, side_of, sides
-
-from .conftest import data_files
+from tests.conftest import data_files
 
 LEFT = [
     "LeftArm",

@@ -7,8 +7,7 @@ from keypose.model import Scene
 from keypose.render import Camera, RenderSettings
 from keypose.render.camera import Framing, frame
 from keypose.render.stage import Stage
-
-from .conftest import arm, wave
+from tests.render.conftest import arm, wave
 
 
 def seen(view, points):

@@ -8,8 +8,7 @@ from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.model import Character, Pose, Scene, Skeleton
 from keypose.render import REST, Camera, RenderSettings, contact_sheet, film, render_file, render_frames, render_image
 from keypose.render.sheet import layout
-
-from .conftest import arm, wave
+from tests.render.conftest import arm, wave
 
 
 def decoded(path):

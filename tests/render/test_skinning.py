@@ -8,8 +8,8 @@ from keypose.model import Character, Part, Pose, Scene, Skeleton
 from keypose.render import RenderSettings
 from keypose.render.stage import Stage
 from keypose.render.surfaces import surfaces
-
-from .conftest import arm, data_files, wave
+from tests.conftest import data_files
+from tests.render.conftest import arm, wave
 
 pytestmark = pytest.mark.gl
 
