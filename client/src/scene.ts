@@ -30,7 +30,10 @@ export async function loadScene(container: Container<SceneData>): Promise<OpenFi
     data.kind === "clip" ? new ClipAnimation(data, arrays, header.id, n) : new MotionAnimation(data, arrays, header.id, n),
   );
   const stem = header.name.replace(/^sample:/, "").replace(/\.[^.]*$/, "");
-  const actors = header.characters.map((data, n) => new Actor(data, arrays, textures, header.id, n, stem));
+  const actors = header.characters.map((data, n) => {
+    const nameless = header.characters.length === 1 && /^(scene|root|rootnode|armature|untitled)?$/i.test(data.name);
+    return new Actor(nameless ? { ...data, name: stem } : data, arrays, textures, header.id, n, stem);
+  });
   return {
     id: header.id,
     name: header.name,

@@ -179,6 +179,11 @@ export class Studio {
       this.give(actor, borrowed ?? own ?? null);
       this.view.add(actor);
     }
+    const resized = file.actors.find((actor) => actor.scale !== 1) ?? this.actors.find((actor) => actor.scale !== 1);
+    if (resized && !this.toldScale) {
+      this.toldScale = true;
+      this.toast("info", "Shown at one size", "The characters differ so much in size that they are shown equally tall. All numbers are real.");
+    }
     if (file.actors.length > 0 && !file.hasMesh) this.lend(file);
     if (first && file.actors.length > 0) {
       this.activate(file.actors[0]);
@@ -253,7 +258,7 @@ export class Studio {
 
   private give(actor: Actor, animation: Animation | null): void {
     actor.setAnimation(animation);
-    actor.measureAt(animation?.start ?? 0);
+    actor.measurePerformance();
     this.performing = { ...this.performing, [actor.id]: animation?.id ?? null };
   }
 
@@ -276,6 +281,7 @@ export class Studio {
     if (!this.followChosen && this.active) this.show("follow", this.active.travel() > 0.6 * this.active.height);
   }
   private followChosen = false;
+  private toldScale = false;
 
   toggleFollow(): void {
     this.followChosen = true;

@@ -47,10 +47,10 @@ def turn(angles: np.ndarray, axis: int = 2) -> np.ndarray:
     return q
 
 
-def arm_skeleton(joints: int = 4) -> Skeleton:
-    """A chain that stands upright, half a metre from joint to joint."""
+def arm_skeleton(joints: int = 4, size: float = 1.0) -> Skeleton:
+    """A chain that stands upright, half a metre (times ``size``) from joint to joint."""
     translations = np.zeros((joints, 3))
-    translations[1:, 1] = 0.5
+    translations[1:, 1] = 0.5 * size
     rest = Pose(translations, turn(np.zeros(joints)), np.ones((joints, 3)))
     names = ("Root", *(f"Joint{n}" for n in range(1, joints)))
     return Skeleton(names, np.arange(-1, joints - 1), rest, ((joints - 1, (0.0, 0.3, 0.0)),))
@@ -103,9 +103,9 @@ def arm_motion(skeleton: Skeleton, frames: int = 61) -> Motion:
     )
 
 
-def arm_scene(influences: int = 2, *, skeleton_only: bool = False) -> Scene:
+def arm_scene(influences: int = 2, *, skeleton_only: bool = False, size: float = 1.0) -> Scene:
     """The tube with a morph, a clip and a motion; or the chain alone with the motion."""
-    skeleton = arm_skeleton()
+    skeleton = arm_skeleton(size=size)
     if skeleton_only:
         return Scene(
             (Character(skeleton, name="chain"),), (arm_motion(skeleton),), format="made", notes=("made by code",)

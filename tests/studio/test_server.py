@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -149,6 +150,25 @@ def test_events_greet_acknowledge_and_close(start: Start) -> None:
         sync.connect(address + "wrong")
     with pytest.raises(Exception, match="403"):
         sync.connect(address + server.token, origin="http://evil.example")
+
+
+def test_a_built_in_character_is_opened_by_name(start: Start) -> None:
+    sync = pytest.importorskip("websockets.sync.client")
+    server = start()
+    with sync.connect(f"ws://127.0.0.1:{server.port}/api/events?token={server.token}", max_size=None) as socket:
+
+        def until(kind: str) -> dict[str, Any]:
+            while True:
+                got = unpack(socket.recv(timeout=30))[0]
+                socket.send(json.dumps({"type": "acknowledge", "sequence": got["sequence"]}))
+                if got["message"]["type"] == kind:
+                    return got["message"]
+
+        assert until("hello")["scenes"] == []
+        socket.send(json.dumps({"type": "open_sample", "name": "wakl"}))
+        assert "nearest: 'walk'" in until("failure")["message"]
+        socket.send(json.dumps({"type": "open_sample", "name": "walk"}))
+        assert until("scene_ready")["scene"]["name"] == "sample:walk"
 
 
 def test_a_host_that_others_can_reach_needs_to_be_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,16 +26,16 @@ function unique(names: string[], fold: (name: string) => string): Map<string, st
   return new Map([...found].filter(([, group]) => group.length === 1).map(([key, group]) => [key, group[0]]));
 }
 
-/** Whether two skeletons that share names also share the directions of their bones at rest. */
+/** Whether two skeletons that share names also share their bones at rest, in direction and (to a tenth) in length. */
 export function sameRest(a: Rig, b: Rig): boolean {
   let agree = 0, count = 0;
   for (const [own, other] of matchNames(a.names, b.names)) {
     const i = 3 * b.index(own), j = 3 * a.index(other);
     const [x, y, z] = b.rest.translations.subarray(i, i + 3), [u, v, w] = a.rest.translations.subarray(j, j + 3);
-    const lengths = Math.hypot(x, y, z) * Math.hypot(u, v, w);
+    const ours = Math.hypot(x, y, z), theirs = Math.hypot(u, v, w), lengths = ours * theirs;
     if (b.parents[b.index(own)] < 0 || lengths < 1e-8) continue;
     count++;
-    if ((x * u + y * v + z * w) / lengths > 0.95) agree++;
+    if ((x * u + y * v + z * w) / lengths > 0.95 && Math.abs(ours / theirs - 1) < 0.1) agree++;
   }
   return count > 0 && agree >= 0.8 * count;
 }

@@ -3,9 +3,9 @@
 const RULES: [string, RegExp][] = [
   ["Visemes", /^(viseme|v_|vrc\.v)/i],
   ["Brows", /brow/i],
+  ["Cheeks", /cheek/i],
   ["Eyes", /(^eye|blink|lid|squint|look(up|down|in|out|left|right))/i],
   ["Nose", /nose|sneer/i],
-  ["Cheeks", /cheek/i],
   ["Jaw", /^jaw/i],
   ["Tongue", /tongue/i],
   ["Mouth", /mouth|lip|smile|frown|pucker|funnel/i],

@@ -32,6 +32,8 @@ export class Actor {
   readonly morphOverrides: Float64Array;
   animation: Animation | null = null;
   visible = true;
+  /** How much larger it is shown than it is; 1 unless giants and mice stand side by side. */
+  scale = 1;
 
   private binding: Binding | null = null;
   private readonly body: Body;
@@ -96,10 +98,27 @@ export class Actor {
     if (this.bounds.isEmpty()) this.bounds.set(new THREE.Vector3(-0.5, 0, -0.5), new THREE.Vector3(0.5, 1, 0.5));
   }
 
-  /** Measure again in the pose of a time; done once, when the first animation is known. */
-  measureAt(time: number): void {
-    this.evaluate(time);
+  /** Measure again at the start of the animation, with room for where its joints reach around the root. */
+  measurePerformance(): void {
+    const { animation } = this;
+    this.evaluate(animation?.start ?? 0);
     this.measure();
+    if (!animation) return;
+    const pose = new Pose(this.rig.count, this.morphNames.length), world = new Float64Array(12 * this.rig.count);
+    const root = new THREE.Vector3(), point = new THREE.Vector3();
+    for (let n = 1; n <= 24; n++) {
+      this.evaluate(animation.start + (n / 24) * animation.duration, pose, world);
+      this.jointPosition(this.rootJoint, root, world).sub(this.measuredRoot).setY(0);
+      for (let joint = 0; joint < this.rig.count; joint++) {
+        this.jointPosition(joint, point, world).sub(root);
+        if (Number.isFinite(point.x + point.y + point.z)) this.bounds.expandByPoint(point);
+      }
+    }
+  }
+
+  /** A point of the character's own space as it stands on the stage. */
+  toStage(point: THREE.Vector3): THREE.Vector3 {
+    return point.multiplyScalar(this.scale).add(this.root.position);
   }
 
   /** A joint in the character's own space. */
@@ -156,9 +175,12 @@ export class Actor {
     this.axes?.write(world);
   }
 
-  place(x: number, z: number): void {
-    this.root.position.set(x, 0, z);
-    this.overlay.position.set(x, 0, z);
+  place(x: number, z: number, scale: number): void {
+    this.scale = scale;
+    for (const group of [this.root, this.overlay]) {
+      group.position.set(x, 0, z);
+      group.scale.setScalar(scale);
+    }
   }
 
   setVisible(visible: boolean): void {
@@ -181,7 +203,7 @@ export class Actor {
 
   showAxes(shown: boolean): void {
     if (shown && !this.axes) {
-      this.axes = new Axes(this.rig, 0.035 * this.height);
+      this.axes = new Axes(this.rig, this.height);
       this.overlay.add(this.axes.lines);
       this.axes.write(this.rig.world);
     } else if (!shown && this.axes) {

@@ -144,10 +144,20 @@ export class Axes {
   readonly lines: THREE.LineSegments;
   private readonly positions: Float32Array;
 
+  private readonly lengths: Float64Array;
+
+  /** Each as long as suits the joint's bone, so that fingers stay readable. */
   constructor(
     private readonly rig: Rig,
-    private readonly length: number,
+    height: number,
   ) {
+    const { rest, parents } = rig;
+    const reach = (joint: number) => Math.hypot(...rest.translations.subarray(3 * joint, 3 * joint + 3));
+    this.lengths = Float64Array.from({ length: rig.count }, (_, joint) => {
+      const bones = rig.children[joint].map(reach).filter((length) => length > 1e-6);
+      const bone = bones.length > 0 ? Math.min(...bones) : parents[joint] >= 0 ? reach(joint) : height;
+      return Math.max(0.007 * height, Math.min(0.035 * height, 0.4 * bone));
+    });
     this.positions = new Float32Array(18 * rig.count);
     const colors = new Float32Array(18 * rig.count);
     for (let n = 0; n < 6 * rig.count; n++) AXIS_COLORS[(n >> 1) % 3].toArray(colors, 3 * n);
@@ -166,7 +176,7 @@ export class Axes {
       for (let axis = 0; axis < 3; axis++) {
         const a = o + 3 * axis, at = 18 * joint + 6 * axis;
         const length = Math.hypot(world[a], world[a + 1], world[a + 2]);
-        const s = length > 0 ? this.length / length : 0;
+        const s = length > 0 ? this.lengths[joint] / length : 0;
         out[at] = px; out[at + 1] = py; out[at + 2] = pz;
         out[at + 3] = px + s * world[a]; out[at + 4] = py + s * world[a + 1]; out[at + 5] = pz + s * world[a + 2];
       }

@@ -10,7 +10,7 @@ export class Lights {
   constructor(scene: THREE.Scene, renderer: THREE.WebGLRenderer) {
     this.key.castShadow = true;
     this.key.shadow.mapSize.set(2048, 2048);
-    this.key.shadow.radius = 5;
+    this.key.shadow.radius = 3;
     this.key.shadow.bias = -0.0004;
     scene.add(this.key, this.key.target, this.rim, this.rim.target, this.fill, this.fill.target);
     scene.environment = sky(renderer);

@@ -105,14 +105,18 @@ export class Viewport {
   /** Side by side in the order of opening; a single character stays where its file puts it. */
   arrange(): void {
     const alone = this.actors.length === 1;
-    const widths = this.actors.map((actor) => Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
-    const gaps = this.actors.map((actor) => 0.3 * actor.height);
+    const heights = this.actors.map((actor) => actor.height);
+    // a fox in centimetres beside a person in metres: shown equally tall, or one of them could not be seen
+    const unequal = Math.max(...heights) > 8 * Math.min(...heights);
+    const scales = heights.map((height) => (unequal ? heights[0] / height : 1));
+    const widths = this.actors.map((actor, n) => scales[n] * Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
+    const gaps = this.actors.map((actor, n) => 0.3 * actor.height * scales[n]);
     let x = -0.5 * (widths.reduce((n, w) => n + w, 0) + gaps.slice(1).reduce((n, g) => n + g, 0));
     this.actors.forEach((actor, n) => {
-      const { min, max } = actor.bounds;
+      const { min, max } = actor.bounds, scale = scales[n];
       if (n > 0) x += gaps[n];
-      if (alone) actor.place(0, 0);
-      else actor.place(x + 0.5 * widths[n] - 0.5 * (min.x + max.x), -0.5 * (min.z + max.z));
+      if (alone) actor.place(0, 0, 1);
+      else actor.place(x + 0.5 * widths[n] - 0.5 * scale * (min.x + max.x), -0.5 * scale * (min.z + max.z), scale);
       x += widths[n];
     });
     this.fitStage();
@@ -126,8 +130,8 @@ export class Viewport {
       const own = actor.bounds.clone();
       // the bounds were measured in the first pose: move them to where the character is now
       const from = actor.measuredRoot, now = actor.jointPosition(actor.rootJoint, this.point);
-      own.translate(new THREE.Vector3(now.x - from.x, 0, now.z - from.z)).translate(actor.root.position);
-      box.union(own);
+      own.translate(new THREE.Vector3(now.x - from.x, 0, now.z - from.z));
+      box.expandByPoint(actor.toStage(own.min)).expandByPoint(actor.toStage(own.max));
     }
     if (box.isEmpty()) box.set(new THREE.Vector3(-0.8, 0, -0.8), new THREE.Vector3(0.8, 1.8, 0.8));
     return box;
@@ -284,7 +288,7 @@ export class Viewport {
       this.orbit.follow(null);
       return;
     }
-    this.orbit.follow(active.jointPosition(active.rootJoint, this.point).add(active.root.position));
+    this.orbit.follow(active.toStage(active.jointPosition(active.rootJoint, this.point)));
   }
 
   draw(): void {
@@ -308,7 +312,7 @@ export class Viewport {
     let count = 0;
     for (const actor of this.actors) {
       if (!actor.visible) continue;
-      center.add(actor.jointPosition(actor.rootJoint, this.point)).add(actor.root.position);
+      center.add(actor.toStage(actor.jointPosition(actor.rootJoint, this.point)));
       count++;
     }
     if (count > 0) center.divideScalar(count);
@@ -342,7 +346,7 @@ export class Viewport {
   /** Where a point of an actor's space is on the canvas, in CSS pixels, and how far from the camera. */
   project(actor: Actor, point: THREE.Vector3): [number, number, number] {
     const { camera } = this.orbit;
-    point.add(actor.root.position);
+    actor.toStage(point);
     const distance = point.distanceTo(camera.position);
     point.project(camera);
     const { clientWidth: w, clientHeight: h } = this.canvas;
