@@ -248,7 +248,7 @@ def test_the_arm_is_drawn_where_its_vertices_are():
 
     character = arm()
     scene = Scene((character,), (wave(character),))
-    settings = RenderSettings(width=200, height=160, transparent=True, ground=False)
+    settings = RenderSettings(width=200, height=160, transparent=True, ground=False, start_s=0.3, end_s=0.3)
     stage = Stage(scene, None, settings)
     view = Framing(stage, settings.camera, 1.25).views(np.array([0.3]))[0]
     moment = stage.moments(np.array([0.3]))[0]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.errors import FormatError, MissingExtra
+from keypose.errors import FormatError
 from keypose.render.settings import Picture
 
 # encoders in order of preference, by suffix
@@ -27,7 +27,7 @@ def even_size(suffix: str, width: int, height: int) -> tuple[int, int]:
 
 
 def find_encoder(suffix: str) -> str:
-    """The encoder for a kind of film; raises `FormatError` where the installed PyAV has none, `MissingExtra` without it."""
+    """The encoder for a kind of film; raises `FormatError` where the installed PyAV has none."""
     av = _av()
     for name in _ENCODERS[suffix]:
         try:
@@ -199,10 +199,8 @@ def _options(encoder: str, quality: int) -> dict[str, str]:
 
 
 def _av() -> Any:
-    try:
-        import av
-        import av.error  # pyright: ignore[reportUnusedImport]
-        import av.filter  # pyright: ignore[reportUnusedImport]
-    except ImportError:
-        raise MissingExtra("writing films", "render") from None
+    import av
+    import av.error  # pyright: ignore[reportUnusedImport]
+    import av.filter  # pyright: ignore[reportUnusedImport]
+
     return av

@@ -17,7 +17,7 @@ import numpy as np
 
 from keypose import deform
 from keypose.arrays import Floats
-from keypose.errors import KeyposeError, MissingExtra
+from keypose.errors import KeyposeError
 from keypose.render.camera import SHADOW_SIZE, View
 from keypose.render.frame import pack_frame
 from keypose.render.settings import Picture, RenderSettings
@@ -41,14 +41,12 @@ class NoDriverError(KeyposeError):
 
 
 def context() -> Any:
-    """This thread's OpenGL context; raises `NoDriverError` where there is no driver, `MissingExtra` without moderngl."""
+    """This thread's OpenGL context; raises `NoDriverError` where there is no driver."""
     held = getattr(_thread, "context", None)
     if held is not None:
         return held
-    try:
-        import moderngl
-    except ImportError:
-        raise MissingExtra("rendering with OpenGL", "render") from None
+    import moderngl
+
     reasons: list[str] = []
     choices: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
     for options in choices:

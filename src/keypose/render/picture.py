@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from keypose.arrays import Floats
-from keypose.errors import FormatError, MissingExtra, ShapeError
+from keypose.errors import FormatError, ShapeError
 from keypose.io.atomic import replacing
 from keypose.model import Scene
 from keypose.render.camera import Framing, View
@@ -48,12 +48,14 @@ def render_image(
 
     Shapes and units: returns (height, width, 4) uint8 sRGB with straight alpha; ``animation`` is the name of one of the
     scene's animations, a `Clip` or `Motion`, or one of these (or None) for each character; not given, the scene's first
-    one. `REST` shows the rest pose.
+    one. `REST` shows the rest pose. The camera frames this moment, or the stretch from ``start_s`` to ``end_s`` if given.
 
     Raises:
         ShapeError, UnknownName: where the scene has nothing to draw, or an animation does not exist.
     """
     settings = settings or RenderSettings()
+    if settings.start_s is None and settings.end_s is None:
+        settings = replace(settings, start_s=time_s, end_s=time_s)  # frame this moment, not the whole performance
     stage = Stage(scene, animation, settings)
     framing = Framing(stage, settings.camera, settings.width / settings.height)
     renderer = make_renderer(stage, settings, settings.supersample or 2)
@@ -166,10 +168,8 @@ def render_file(
 
 def write_png(picture: Picture, path: Path, opaque: bool = True) -> None:
     """A picture (H, W, 4) uint8 as PNG; ``opaque`` leaves the alpha channel out."""
-    try:
-        from PIL import Image
-    except ImportError:
-        raise MissingExtra("writing PNG", "render") from None
+    from PIL import Image
+
     Image.fromarray(np.ascontiguousarray(picture[..., :3]) if opaque else picture).save(path, "png")
 
 
@@ -180,7 +180,7 @@ def make_renderer(stage: Stage, settings: RenderSettings, supersample: int) -> R
 
         try:
             return GlRenderer(stage, settings, supersample)
-        except (NoDriverError, MissingExtra):
+        except NoDriverError:
             if settings.backend == "gl":
                 raise
     from keypose.render.cpu import CpuRenderer

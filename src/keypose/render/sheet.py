@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from keypose.errors import MissingExtra
 from keypose.render.settings import Picture, Rgb, Theme, encoded
 
 _GAP = 6  # pixels between the pictures, on a page of a thousand
@@ -75,8 +74,6 @@ def _code(color: Rgb) -> tuple[int, int, int, int]:
 
 
 def _pillow() -> tuple[Any, Any, Any]:
-    try:
-        from PIL import Image, ImageDraw, ImageFont
-    except ImportError:
-        raise MissingExtra("contact sheets", "render") from None
+    from PIL import Image, ImageDraw, ImageFont
+
     return Image, ImageDraw, ImageFont
