@@ -16,6 +16,8 @@ export interface OpenFile {
   actors: Actor[];
   animations: Animation[];
   hasMesh: boolean;
+  /** Give back what the graphics card holds; the actors are disposed of by the stage. */
+  dispose: () => void;
 }
 
 export async function loadScene(container: Container<SceneData>): Promise<OpenFile> {
@@ -44,5 +46,6 @@ export async function loadScene(container: Container<SceneData>): Promise<OpenFi
     actors,
     animations,
     hasMesh: actors.some((actor) => actor.hasMesh),
+    dispose: () => textures.forEach((texture) => texture?.dispose()),
   };
 }

@@ -73,6 +73,11 @@ function spelling(event: KeyboardEvent): string[] {
   return event.shiftKey ? [`Shift+${bare}`, key] : [key, key === "+" ? "=" : key];
 }
 
+/** A button that was clicked with the mouse gives the keyboard back, so that the space bar plays. */
+export function releaseFocus(event: MouseEvent): void {
+  if (event.detail > 0 && document.activeElement instanceof HTMLButtonElement) document.activeElement.blur();
+}
+
 export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
   const target = event.target as HTMLElement;
   const typing = target instanceof HTMLInputElement && target.type !== "range";
@@ -84,7 +89,9 @@ export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
     if (event.key === "Escape" || event.key === "?") studio.help = false;
     return;
   }
-  // a focused button keeps its own keys
+  // a slider keeps the keys that move it
+  if (target instanceof HTMLInputElement && /^(Arrow|Home|End|Page)/.test(event.key)) return;
+  // a button reached by keyboard keeps its own keys
   if (target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter")) return;
   for (const keys of spelling(event)) {
     const found = table.find((s) => s.keys === keys);

@@ -217,6 +217,7 @@ export class Studio {
     const file = this.files.find((f) => f.id === id);
     if (!file) return;
     for (const actor of file.actors) this.view.remove(actor);
+    file.dispose();
     this.files = this.files.filter((f) => f !== file);
     for (const actor of this.actors) if (actor.animation?.sceneId === id) this.perform(actor, null);
     if (!this.active) this.activate(this.actors[0] ?? null);

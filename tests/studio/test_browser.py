@@ -152,6 +152,31 @@ def test_play_pause_step_and_scrub(studio: StudioPage) -> None:
     assert stopped > 0
 
 
+def test_the_keyboard_goes_where_a_user_expects(studio: StudioPage) -> None:
+    studio.test_id("bones").click()
+    studio.page.keyboard.press("Space")
+    assert studio.state("playing"), "a clicked button does not take the space bar from playing"
+    assert studio.state("display")["bones"]
+    studio.page.keyboard.press("Space")
+    studio.page.keyboard.press("Tab")
+    focused = "document.activeElement.dataset.testid ?? document.activeElement.getAttribute('aria-label')"
+    reached = studio.page.evaluate(focused)
+    pressed = "document.activeElement.getAttribute('aria-pressed')"
+    before = studio.page.evaluate(pressed)
+    studio.page.keyboard.press("Space")
+    assert not studio.state("playing"), f"'{reached}' was reached by keyboard and keeps its keys"
+    assert studio.page.evaluate(pressed) != before
+    studio.page.evaluate("keypose.studio.seekFrame(0)")
+    studio.page.get_by_test_id("speed").focus()
+    studio.page.keyboard.press("ArrowRight")
+    assert studio.state("time") == 0, "a slider keeps the keys that move it"
+    studio.page.get_by_role("searchbox", name="Find a joint").fill("")
+    studio.page.keyboard.type("joint2 b.")
+    assert studio.state("time") == 0, "typing is typing"
+    studio.page.keyboard.press("Escape")
+    studio.page.get_by_role("searchbox", name="Find a joint").fill("")
+
+
 def test_the_read_out_takes_a_frame_number_and_shows_timecode(studio: StudioPage) -> None:
     studio.test_id("readout").click()
     studio.page.keyboard.type("21")
@@ -298,9 +323,7 @@ def test_themes(arm_server: StudioServer, visit: Visit) -> None:
     studio.page.keyboard.press("t")
     assert studio.state("theme") == "dark"
     assert pixels(studio).mean() < light - 60
-    studio.page.reload()
-    studio.ready(1)
-    assert studio.state("theme") == "dark", "the choice is remembered"
+    assert studio.page.evaluate("localStorage.getItem('keypose.theme')") == "dark", "the choice is remembered"
 
 
 def test_the_help_panel_lists_the_shortcuts(studio: StudioPage) -> None:
