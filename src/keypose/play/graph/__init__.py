@@ -1,0 +1,88 @@
+"""The animation graph: blend spaces, layers, state machines, transitions, synchronisation, root motion, events.
+
+>>> from keypose.play import graph
+>>> definition = graph.Graph({"still": graph.RestNode()}, output="still")
+
+A definition (`Graph`) is plain data, in Python or JSON. `build` meets it with a skeleton and clips, `init` gives the first
+state, and `step` moves it on. This is the reference evaluator: exact, readable, one character at a time.
+"""
+
+from keypose.play.graph.assets import find_cycle
+from keypose.play.graph.build import Program, build
+from keypose.play.graph.checking import GraphError, check, problems
+from keypose.play.graph.definition import (
+    Additive,
+    Blend,
+    Blend1D,
+    Blend2D,
+    ClipEvent,
+    ClipNode,
+    ClipSource,
+    Condition,
+    Contact,
+    Graph,
+    Input,
+    Layer,
+    LookAt,
+    Marker,
+    Mask,
+    Parameter,
+    Plant,
+    RestNode,
+    Sample1D,
+    Sample2D,
+    StateMachine,
+    Steer,
+    TimeWarp,
+    Transition,
+    TwoBone,
+)
+from keypose.play.graph.files import from_json, load, save, to_json
+from keypose.play.graph.program import Change, Fired
+from keypose.play.graph.stepping import Output, State, init, step
+from keypose.play.graph.trace import Trace
+
+__all__ = [
+    "Additive",
+    "Blend",
+    "Blend1D",
+    "Blend2D",
+    "Change",
+    "ClipEvent",
+    "ClipNode",
+    "ClipSource",
+    "Condition",
+    "Contact",
+    "Fired",
+    "Graph",
+    "GraphError",
+    "Input",
+    "Layer",
+    "LookAt",
+    "Marker",
+    "Mask",
+    "Output",
+    "Parameter",
+    "Plant",
+    "Program",
+    "RestNode",
+    "Sample1D",
+    "Sample2D",
+    "State",
+    "StateMachine",
+    "Steer",
+    "TimeWarp",
+    "Trace",
+    "Transition",
+    "TwoBone",
+    "build",
+    "check",
+    "find_cycle",
+    "from_json",
+    "init",
+    "load",
+    "problems",
+    "save",
+    "step",
+    "to_json",
+]
