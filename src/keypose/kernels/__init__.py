@@ -5,7 +5,9 @@ run on. Importing this package loads nothing; each module loads Numba when it is
 
     text     numbers of text files, both ways
     fk       forward kinematics of whole clips
-    sample   sampling and blending clips for crowds and single characters, slerp
+    clips    clips in the form that sampling reads
+    sample   sampling and blending clips for crowds and single characters
+    slerp    spherical interpolation in two layouts
     skin     linear-blend skinning
-    vectors, rotations, runtime   what they are made of
+    vectors, rotations, words, wordvectors, runtime   what they are made of
 """

@@ -16,9 +16,10 @@ import numpy as np
 
 from keypose.errors import ShapeError
 from keypose.kernels.rotations import load3, load4, quat_matrix, quat_multiply, quat_rotate, store3, store4
-from keypose.kernels.runtime import WIDTH, aligned, inlined, kernel, readable, scratch_like
+from keypose.kernels.runtime import WIDTH, aligned, flat, inlined, kernel, readable, scratch_like
 from keypose.kernels.vectors import fill, lanes, load_triples, splat, store, transpose
 
+_INT64 = np.dtype(np.int64)
 _NONE, _STATIC, _MOVING = 0, 1, 2  # how a kind of local transform is given: not at all, once, or for every frame
 
 
@@ -85,7 +86,7 @@ def rotations_positions_lanes(
     up to a multiple of L (fastest from `runtime.aligned` memory); offsets (J, 3); roots (F / L, 3, L). Returns
     (F / L, J, 7, L), wxyz and position, in ``out`` if given.
     """
-    parents, dtype = readable(parents, np.int64), rotations.dtype
+    parents, dtype = flat(parents, _INT64), rotations.dtype
     joints, count = len(parents), lane_count(dtype)
     frames, row = rotations.shape
     if row % count or row < 4 * joints or frames % count or roots.shape != (frames // count, 3, count):
@@ -97,8 +98,7 @@ def rotations_positions_lanes(
         out = aligned(frames * joints * 7, dtype).reshape(shape)
     if out.shape != shape or out.dtype != dtype or not out.flags.c_contiguous or len(offsets) != joints:
         raise ShapeError(f"out: expected {shape} of {dtype}, and {joints} offsets")
-    flat = [readable(a, dtype) for a in (rotations, offsets, roots)]
-    _turn_and_move_lanes(parents, *flat, row, out.reshape(-1))
+    _turn_and_move_lanes(parents, *(flat(a, dtype) for a in (rotations, offsets, roots)), row, out.reshape(-1))
     return out
 
 

@@ -171,6 +171,18 @@ def aligned_copy(values: Any, dtype: Any = np.float32) -> np.ndarray:
     return out
 
 
+def flat(values: Any, dtype: np.dtype) -> np.ndarray:
+    """The values as a flat, contiguous array of that type; quicker than `readable`, for functions called very often.
+
+    A frozen array meets a kernel of its own, compiled when it first comes.
+    """
+    if not (
+        type(values) is np.ndarray and values.dtype == dtype and values.flags.c_contiguous and values.flags.aligned
+    ):
+        values = np.require(values, dtype, ["C", "A"])
+    return values.reshape(-1)
+
+
 def readable(values: Any, dtype: Any) -> np.ndarray:
     """The values as a flat, contiguous, read-only array of that type.
 

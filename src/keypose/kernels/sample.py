@@ -59,6 +59,7 @@ __all__ = [
 
 _ROWS = 7  # w x y z, translation
 _UNIT = np.array([1, 0], np.float32)
+_FLOAT32 = np.dtype(np.float32)
 
 
 # --- Python-level entries -------------------------------------------------------------------------------------------------
@@ -113,7 +114,7 @@ def sample_rows(clips: CompiledClips, state: Mix, out: np.ndarray) -> None:
 
 
 def _check_out(out: np.ndarray, shape: tuple[int, ...]) -> None:
-    if out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+    if out.shape != shape or out.dtype != _FLOAT32 or not out.flags.c_contiguous:
         raise ShapeError(f"out: expected {shape} of float32, got {out.shape} of {out.dtype}")
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from keypose.errors import ShapeError
 from keypose.kernels.fk import lane_count
 from keypose.kernels.rotations import load4, store4
-from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, inlined, kernel, readable, scratch, scratch_like
+from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, flat, inlined, kernel, scratch, scratch_like
 from keypose.kernels.vectors import (
     fill,
     float32_at,
@@ -41,7 +41,8 @@ _ROW = 12  # numbers per vertex: three weights, point (x, y, z, 1), normal, two 
 
 _POSITIONS, _SAME_MATRICES, _OWN_MATRICES = 0, 1, 2  # what becomes of normals
 _MATRICES = ((4, 4), (3, 4))
-_NOTHING = {np.dtype(t): readable(np.zeros(0), t) for t in (np.float32, np.float64)}
+_NOTHING = {np.dtype(t): np.zeros(0, t) for t in (np.float32, np.float64)}
+_FLOAT32 = np.dtype(np.float32)
 
 # Where `CompiledMesh.handles` holds what: sizes, then addresses.
 _VERTEX_COUNT, _CHUNK_COUNT, _COLUMNS, _RUN_COUNT, _PALETTE_SIZE = range(5)
@@ -151,7 +152,7 @@ def skin(
         own = np.asarray(normal_matrices, mesh.dtype)
         if own.shape != (*batch, palette, 3, 3):
             raise ShapeError(f"normal_matrices: expected {(*batch, palette, 3, 3)}, got {own.shape}")
-        turning = readable(own, mesh.dtype)
+        turning = flat(own, mesh.dtype)
     if out is None:
         moved, turned = np.empty(shape, mesh.dtype), np.empty(shape, mesh.dtype) if with_normals else None
     else:
@@ -162,7 +163,7 @@ def skin(
     if moved.size:
         target = moved.reshape(-1)
         _skin_poses(
-            mesh.chunk_points, mesh.handles, readable(matrices, mesh.dtype), matrices.shape[-2] * 4, palette, turning,
+            mesh.chunk_points, mesh.handles, flat(matrices, mesh.dtype), matrices.shape[-2] * 4, palette, turning,
             mode, target, target if turned is None else turned.reshape(-1),
         )  # fmt: skip
     return moved, turned
@@ -187,7 +188,7 @@ def skin_crowd(
     Shapes and units: models (blocks, J, 12, W) float32 as `sample.animate_crowd` leaves them. Returns
     (blocks, V, 3 or 6, W): positions, and normals turned by the blended matrices; in ``out`` if given.
     """
-    if models.ndim != 4 or models.shape[2:] != (12, WIDTH) or models.dtype != np.float32 or not models.flags.carray:
+    if models.ndim != 4 or models.shape[2:] != (12, WIDTH) or models.dtype != _FLOAT32 or not models.flags.carray:
         raise ShapeError(f"models: expected (blocks, J, 12, {WIDTH}) of float32, got {models.shape} of {models.dtype}")
     if not len(mesh.palette) or mesh.palette.max() >= models.shape[1]:
         raise ShapeError(f"mesh: expected one compiled with a palette of at most {models.shape[1]} joints")
@@ -196,7 +197,7 @@ def skin_crowd(
     shape = (len(models), mesh.vertex_count, 6 if with_normals else 3, WIDTH)
     if out is None:
         out = aligned(int(np.prod(shape))).reshape(shape)
-    if out.shape != shape or out.dtype != np.float32 or not out.flags.carray:
+    if out.shape != shape or out.dtype != _FLOAT32 or not out.flags.carray:
         raise ShapeError(f"out: expected {shape} of float32, got {out.shape} of {out.dtype}")
     _skin_blocks(models, mesh.handles, out)
     return out
@@ -416,6 +417,11 @@ def _differences(bones, a, b, at):
     return b0 - a0, b1 - a1, b2 - a2, b3 - a3
 
 
+@inlined
+def _mixed(a, wb, b, wc, c, wd, d):
+    return a + wb * b + wc * c + wd * d
+
+
 @kernel
 def _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at):
     """Vertices moved by the same four bones, whose matrices stay in registers.
@@ -423,7 +429,6 @@ def _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, ou
     With weights that sum to 1 the blended matrix is A + wb (B - A) + wc (C - A) + wd (D - A): one multiply-add less per
     entry. The rows hold weights of sum 1, and point and normal times what they summed to.
     """
-    size = 6 if normals else 3
     for row in range(3):
         k = 4 * row * WIDTH
         a0, a1, a2, a3 = load4(bones, a + k, WIDTH)
@@ -431,31 +436,74 @@ def _skin_run(bones, a, b, c, d, rows, vertices, start, count, adds, normals, ou
         c0, c1, c2, c3 = _differences(bones, a, c, k)
         d0, d1, d2, d3 = _differences(bones, a, d, k)
         for v in range(start, start + count):
-            here, to = _ROW * v, at + (size * vertices[v] + row) * WIDTH
+            here = _ROW * v
             wb, wc, wd = splat(rows, here), splat(rows, here + 1), splat(rows, here + 2)
-            e0 = a0 + wb * b0 + wc * c0 + wd * d0
-            e1 = a1 + wb * b1 + wc * c1 + wd * d1
-            e2 = a2 + wb * b2 + wc * c2 + wd * d2
-            e3 = a3 + wb * b3 + wc * c3 + wd * d3
-            point = e0 * splat(rows, here + 3) + e1 * splat(rows, here + 4)
-            point = point + e2 * splat(rows, here + 5) + e3 * splat(rows, here + 6)
+            e0, e1 = _mixed(a0, wb, b0, wc, c0, wd, d0), _mixed(a1, wb, b1, wc, c1, wd, d1)
+            e2, e3 = _mixed(a2, wb, b2, wc, c2, wd, d2), _mixed(a3, wb, b3, wc, c3, wd, d3)
+            _put_row(rows, here, e0, e1, e2, e3, vertices[v], row, adds, normals, out, at)
+
+
+@kernel
+def _skin_run_narrow(bones, a, b, c, d, rows, vertices, start, count, adds, normals, out, at, near):
+    """The same for machines of sixteen registers: the differences wait in the first-level cache, at ``near``."""
+    for k in range(0, 12 * WIDTH, 4 * WIDTH):
+        a0, a1, a2, a3 = load4(bones, a + k, WIDTH)
+        store4(near, 4 * k, WIDTH, a0, a1, a2, a3)
+        a0, a1, a2, a3 = _differences(bones, a, b, k)
+        store4(near, 4 * k + 4 * WIDTH, WIDTH, a0, a1, a2, a3)
+        a0, a1, a2, a3 = _differences(bones, a, c, k)
+        store4(near, 4 * k + 8 * WIDTH, WIDTH, a0, a1, a2, a3)
+        a0, a1, a2, a3 = _differences(bones, a, d, k)
+        store4(near, 4 * k + 12 * WIDTH, WIDTH, a0, a1, a2, a3)
+    for v in range(start, start + count):
+        here = _ROW * v
+        wb, wc, wd = splat(rows, here), splat(rows, here + 1), splat(rows, here + 2)
+        x, y, z, s = splat(rows, here + 3), splat(rows, here + 4), splat(rows, here + 5), splat(rows, here + 6)
+        nx, ny, nz = splat(rows, here + 7), splat(rows, here + 8), splat(rows, here + 9)
+        for row in range(3):
+            k = 16 * row * WIDTH
+            a0, a1, a2, a3 = load4(near, k, WIDTH)
+            b0, b1, b2, b3 = load4(near, k + 4 * WIDTH, WIDTH)
+            c0, c1, c2, c3 = load4(near, k + 8 * WIDTH, WIDTH)
+            d0, d1, d2, d3 = load4(near, k + 12 * WIDTH, WIDTH)
+            e0, e1 = _mixed(a0, wb, b0, wc, c0, wd, d0), _mixed(a1, wb, b1, wc, c1, wd, d1)
+            e2, e3 = _mixed(a2, wb, b2, wc, c2, wd, d2), _mixed(a3, wb, b3, wc, c3, wd, d3)
+            to = at + ((6 if normals else 3) * vertices[v] + row) * WIDTH
+            point = e0 * x + e1 * y + e2 * z + e3 * s
             if adds:
                 point = point + load(out, to)
             store(out, to, point)
             if normals:
-                turned = e0 * splat(rows, here + 7) + e1 * splat(rows, here + 8) + e2 * splat(rows, here + 9)
+                turned = e0 * nx + e1 * ny + e2 * nz
                 to += 3 * WIDTH
                 if adds:
                     turned = turned + load(out, to)
                 store(out, to, turned)
 
 
+@inlined
+def _put_row(rows, here, e0, e1, e2, e3, vertex, row, adds, normals, out, at):
+    """One coordinate of a vertex, and of its normal, from a row of the blended matrix."""
+    to = at + ((6 if normals else 3) * vertex + row) * WIDTH
+    point = e0 * splat(rows, here + 3) + e1 * splat(rows, here + 4)
+    point = point + e2 * splat(rows, here + 5) + e3 * splat(rows, here + 6)
+    if adds:
+        point = point + load(out, to)
+    store(out, to, point)
+    if normals:
+        turned = e0 * splat(rows, here + 7) + e1 * splat(rows, here + 8) + e2 * splat(rows, here + 9)
+        to += 3 * WIDTH
+        if adds:
+            turned = turned + load(out, to)
+        store(out, to, turned)
+
+
 @kernel
 def _skin_blocks(models, handles, out):
     blocks, joints, rows = out.shape[0], models.shape[1], out.shape[2]
     size, each = handles[_PALETTE_SIZE], 12 * WIDTH
-    memory = scratch(size * each)
-    models, out, bones = pointer(models), pointer(out), pointer(memory)
+    memory, beside = scratch(size * each), scratch(48 * WIDTH)
+    models, out, bones, near = pointer(models), pointer(out), pointer(memory), pointer(beside)
     runs, vertices, numbers = int64_at(handles[_RUNS]), int64_at(handles[_RUN_VERTICES]), float32_at(handles[_RUN_ROWS])
     for block in range(blocks):
         _palette_matrices(
@@ -465,4 +513,7 @@ def _skin_blocks(models, handles, out):
         for r in range(handles[_RUN_COUNT]):
             start, count, adds = runs[7 * r], runs[7 * r + 1], runs[7 * r + 2] != 0
             a, b, c, d = runs[7 * r + 3] * each, runs[7 * r + 4] * each, runs[7 * r + 5] * each, runs[7 * r + 6] * each
-            _skin_run(bones, a, b, c, d, numbers, vertices, start, count, adds, rows == 6, out, at)
+            if WIDTH == 16:
+                _skin_run(bones, a, b, c, d, numbers, vertices, start, count, adds, rows == 6, out, at)
+            else:
+                _skin_run_narrow(bones, a, b, c, d, numbers, vertices, start, count, adds, rows == 6, out, at, near)
