@@ -1,115 +1,110 @@
 # pyright: basic
 """Decoding one pose of a compiled clip at any time.
 
-A *track* is one number of the pose that moves. Over a segment of 16 frames it is 16 coefficients of the cosine transform,
-each with a bit width of its own, which a *profile* lists. Sampling is linear in the coefficients: the weights of a frame,
+The frames are cut into *slots* of 16. A slot is one segment of 16 samples, or 2, 4 ... 32 segments where the motion is so
+fast that the straight way between frames would miss it.
+
+A *track* is one number of the pose that moves. Over a segment it is 16 coefficients of the cosine transform,
+each with a bit width of its own, which a *profile* lists. Sampling is linear in the coefficients: the weights of a sample,
 or of a mixture of two, are one row of 16 numbers, and a track costs one unpacking, one product and one sum, with the
 coefficients in the lanes. Rotations are finished with joints in the lanes.
 
 Layout of the arrays (all made by `keypose.play.store`)
-    layout   int64    HEADER numbers, then the target of each track, then the byte offset of each segment
+    layout   int64    HEADER numbers, then the target of each track, per slot 8 times its first segment plus its
+                      refinement, then the byte offset of each segment
     tables   float32  cosine rows [16][16]; steps of the tracks; scales of the segments; the constant pose; per joint the
-                      rotations before and after the coded one, and whether its w is to be completed
-    book     uint8    per profile 64 bytes: where each coefficient ends (uint16), how far to shift (uint8), which are
-                      stored (one bit each), how many bits they take together
+                      rotations before and after the coded one, and 1 where its numbers are x, y, z / (1 + w)
+    book     uint8    per profile 128 bytes: of each coefficient the four bytes that hold it (4 x 16), how far to shift left
+                      (16), then right (16), which are stored (one bit each), how many bytes they take together
     codes    uint8    MARGIN bytes, then per segment one profile per track and the packed coefficients, then MARGIN bytes
     out      float32  rows [10][padded joints]: w x y z, translation, scale; then the morph weights, padded as well
 """
 
 from __future__ import annotations
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 
 from keypose.kernels.rotations import load4, quat_multiply, store4
-from keypose.kernels.runtime import FEATURES, WIDTH, inlined, intrinsic, kernel
+from keypose.kernels.runtime import FEATURES, inlined, intrinsic, kernel
 from keypose.kernels.vectors import (
     Vector,
     address,
     call_llvm,
-    fill,
     lanes,
     load,
     load_sixteen,
-    maximum,
     pointer,
     read,
     rsqrt,
     shuffle,
-    sqrt,
     store,
 )
 
 FRAMES = 16
 ROWS = 10
 MARGIN = 64  # bytes before and after the codes that may be read but mean nothing
-ENTRY = 64  # bytes of one profile
-PADDED, TRACKS, FRAME_COUNT, MORPHS, SEGMENTS, STEPS, SCALES, BASE, BEFORE = range(9)
+ENTRY = 128  # bytes of one profile
+PADDED, TRACKS, FRAME_COUNT, MORPHS, SLOTS, STEPS, SCALES, BASE, BEFORE = range(9)
 HEADER = 16
 
-_I8, _I16, _I32 = ir.IntType(8), ir.IntType(16), ir.IntType(32)
+_I8, _I16, _I32, _I64 = (ir.IntType(n) for n in (8, 16, 32, 64))
 _WORDS = ir.VectorType(_I32, FRAMES)
 _SIXTEEN = Vector(32, FRAMES)
+_LEFT, _RIGHT, _STORED, SIZE = 64, 80, 96, 98
 
 
-def _permute_words(builder, words, where):
-    """Lane k is word ``where[k]`` of sixteen."""
-    if WIDTH == 16 and "avx512f" in FEATURES:
-        return call_llvm(builder, "llvm.x86.avx512.permvar.si.512", _WORDS, [words, where])
-    if "avx2" in FEATURES:
-        eight = ir.VectorType(_I32, 8)
-        low, high = (shuffle(builder, words, words, range(k, k + 8)) for k in (0, 8))
-        parts = []
-        for k in (0, 8):
-            index = shuffle(builder, where, where, range(k, k + 8))
-            from_low, from_high = (call_llvm(builder, "llvm.x86.avx2.permd", eight, [half, index]) for half in (low, high))
-            upper = builder.icmp_unsigned(">", index, ir.Constant(eight, [_I32(7)] * 8))
-            parts.append(builder.select(upper, from_high, from_low))
-        return shuffle(builder, *parts, range(16))
+def _at(builder, data, offset, kind):
+    place = builder.gep(data, [_I64(offset)]) if offset else data
+    return builder.bitcast(place, kind.as_pointer())
+
+
+def _gather_words(builder, data, table):
+    """The 32 bits around each coefficient."""
+    if "avx512vbmi" in FEATURES:
+        whole = ir.VectorType(_I8, 64)
+        codes, where = read(builder, _at(builder, data, 0, whole), 1), read(builder, _at(builder, table, 0, whole), 1)
+        found = call_llvm(builder, "llvm.x86.avx512.permvar.qi.512", whole, [codes, where])
+        return builder.bitcast(found, _WORDS)
     out = ir.Constant(_WORDS, ir.Undefined)
     for k in range(FRAMES):
-        out = builder.insert_element(out, builder.extract_element(words, builder.extract_element(where, _I32(k))), _I32(k))
+        offset = builder.zext(builder.load(_at(builder, table, 4 * k, _I8)), _I64)
+        word = read(builder, builder.bitcast(builder.gep(data, [offset]), _I32.as_pointer()), 1)
+        out = builder.insert_element(out, word, _I32(k))
     return out
 
 
-def _words(builder, scalar):
-    one = builder.insert_element(ir.Constant(_WORDS, ir.Undefined), scalar, _I32(0))
-    return shuffle(builder, one, one, [0] * FRAMES)
-
-
 @intrinsic
-def unpack_coefficients(typing, codes, bit, book, entry):
-    """The sixteen coefficients of a track, in half steps (2 q + 1; 0 where none is stored), from a bit on."""
+def unpack_coefficients(typing, codes, start, book, entry):
+    """The sixteen coefficients of a track, in half steps (2 q + 1; 0 where none is stored), from a byte on."""
 
     def generate(context, builder, sig, args):
-        int64 = ir.IntType(64)
-        bit = context.cast(builder, args[1], sig.args[1], types.int64)
-        at = builder.sub(builder.lshr(bit, int64(3)), int64(4))
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data if isinstance(
-            sig.args[0], types.Array
-        ) else args[0]
-        words = read(builder, builder.bitcast(builder.gep(data, [at]), _WORDS.as_pointer()), 1)
-        table = address(context, builder, sig, args, 2, _I8)
-
-        def entry_part(offset, kind, align):
-            place = builder.gep(table, [int64(offset)])
-            return read(builder, builder.bitcast(place, kind.as_pointer()), align)
-
-        ends = builder.zext(entry_part(0, ir.VectorType(_I16, FRAMES), 2), _WORDS)
-        shifts = builder.zext(entry_part(32, ir.VectorType(_I8, FRAMES), 1), _WORDS)
-        stored = builder.bitcast(entry_part(48, _I16, 2), ir.VectorType(ir.IntType(1), FRAMES))
-        # The window of 32 bits that ends where the coefficient ends: shifted down, its sign is in front.
-        odd_bits = builder.and_(builder.trunc(bit, _I32), _I32(7))
-        start = builder.add(ends, _words(builder, odd_bits))
-        word = builder.lshr(start, ir.Constant(_WORDS, [_I32(5)] * FRAMES))
-        one = ir.Constant(_WORDS, [_I32(1)] * FRAMES)
-        low = _permute_words(builder, words, word)
-        high = _permute_words(builder, words, builder.add(word, one))
-        window = call_llvm(builder, "llvm.fshr.v16i32", _WORDS, [high, low, start])
-        halves = builder.or_(builder.ashr(window, shifts), one)
+        data, table = (address(context, builder, sig, args, which, _I8) for which in (0, 2))
+        words = _gather_words(builder, data, table)
+        left, right = (
+            builder.zext(read(builder, _at(builder, table, offset, ir.VectorType(_I8, FRAMES)), 1), _WORDS)
+            for offset in (_LEFT, _RIGHT)
+        )
+        bits = read(builder, _at(builder, table, _STORED, _I16), 2)
+        stored = builder.bitcast(bits, ir.VectorType(ir.IntType(1), FRAMES))
+        # The coefficient to the top, for its sign, then down but for one bit, which is always set.
+        halves = builder.ashr(builder.shl(words, left), right)
+        halves = builder.or_(halves, ir.Constant(_WORDS, [_I32(1)] * FRAMES))
         return builder.select(stored, builder.sitofp(halves, _SIXTEEN.llvm), ir.Constant(_SIXTEEN.llvm, [0.0] * FRAMES))
 
-    return _SIXTEEN(codes, bit, book, entry), generate
+    return _SIXTEEN(codes, start, book, entry), generate
+
+
+def _add(builder, a, b):
+    return builder.fadd(a, b, flags=("contract", "nsz"))
+
+
+def _halved(builder, value, count):
+    """The lower half of the lanes plus the upper."""
+    half = count // 2
+    low, high = (shuffle(builder, value, value, range(k, k + half)) for k in (0, half))
+    return _add(builder, low, high)
 
 
 @intrinsic
@@ -117,28 +112,78 @@ def sum_lanes(typing, vector):
     """The sum of sixteen lanes."""
 
     def generate(context, builder, sig, args):
-        value, count = args[0], FRAMES
-        while count > 1:
-            count //= 2
-            low, high = shuffle(builder, value, value, range(count)), shuffle(builder, value, value, range(count, 2 * count))
-            value = builder.fadd(low, high, flags=("contract", "nsz"))
+        value = args[0]
+        for count in (16, 8, 4, 2):
+            value = _halved(builder, value, count)
         return builder.extract_element(value, _I32(0))
 
     return types.float32(_SIXTEEN), generate
+
+
+@intrinsic
+def add_four(typing, out, at, targets, first, steps, step, a, b, c, d):
+    """Add the sums of four vectors, times four steps, to ``out[at + targets[first]]`` and the three after it."""
+
+    def generate(context, builder, sig, args):
+        a, b, c, d = (_halved(builder, v, 16) for v in args[6:])
+        # Eight lanes each: interleave by halves until every vector has its own lane.
+        ab, cd = (
+            _add(
+                builder,
+                shuffle(builder, x, y, [0, 1, 2, 3, 8, 9, 10, 11]),
+                shuffle(builder, x, y, [4, 5, 6, 7, 12, 13, 14, 15]),
+            )
+            for x, y in ((a, b), (c, d))
+        )
+        four = _add(
+            builder,
+            shuffle(builder, ab, cd, [0, 1, 4, 5, 8, 9, 12, 13]),
+            shuffle(builder, ab, cd, [2, 3, 6, 7, 10, 11, 14, 15]),
+        )
+        four = _add(builder, shuffle(builder, four, four, [0, 2, 4, 6]), shuffle(builder, four, four, [1, 3, 5, 7]))
+        kind = ir.VectorType(ir.FloatType(), 4)
+        four = builder.fmul(four, read(builder, address(context, builder, sig, args, 4, kind), 4))
+        pose = address(context, builder, sig, args, 0, ir.FloatType())
+        where = address(context, builder, sig, args, 2, _I64)
+        for k in range(4):
+            place = builder.gep(pose, [read(builder, builder.gep(where, [_I64(k)]), 8)])
+            value = builder.fadd(read(builder, place, 4), builder.extract_element(four, _I32(k)))
+            builder.store(value, place)
+        return context.get_dummy_value()
+
+    return types.void(out, at, targets, first, steps, step, a, b, c, d), generate
 
 
 @inlined
 def add_tracks(layout, tables, book, codes, segment, weights, out, at):
     """Add each track's sum of coefficients times ``weights`` (16 lanes) to its number of the pose."""
     tracks = layout[TRACKS]
-    start = layout[HEADER + tracks + segment]
-    bit = (start + tracks) * 8
+    profiles = layout[HEADER + tracks + layout[SLOTS] + segment]
+    start = profiles + tracks
     steps = layout[STEPS]
-    for track in range(tracks):
-        entry = int(codes[start + track]) * ENTRY
-        value = sum_lanes(unpack_coefficients(codes, bit, book, entry) * weights)
+    layout_at, tables_at, book_at, codes_at, out_at = (
+        pointer(layout), pointer(tables), pointer(book), pointer(codes), pointer(out),
+    )  # fmt: skip
+    whole = tracks & ~3
+    for track in range(0, whole, 4):
+        p = np.int64(codes[profiles + track]) * ENTRY
+        a = unpack_coefficients(codes_at, start, book_at, p) * weights
+        start += book[p + SIZE]
+        p = np.int64(codes[profiles + track + 1]) * ENTRY
+        b = unpack_coefficients(codes_at, start, book_at, p) * weights
+        start += book[p + SIZE]
+        p = np.int64(codes[profiles + track + 2]) * ENTRY
+        c = unpack_coefficients(codes_at, start, book_at, p) * weights
+        start += book[p + SIZE]
+        p = np.int64(codes[profiles + track + 3]) * ENTRY
+        d = unpack_coefficients(codes_at, start, book_at, p) * weights
+        start += book[p + SIZE]
+        add_four(out_at, at, layout_at, HEADER + track, tables_at, steps + track, a, b, c, d)
+    for track in range(whole, tracks):
+        p = np.int64(codes[profiles + track]) * ENTRY
+        value = sum_lanes(unpack_coefficients(codes_at, start, book_at, p) * weights)
+        start += book[p + SIZE]
         out[at + layout[HEADER + track]] += value * tables[steps + track]
-        bit += int(book[entry + 50]) + int(book[entry + 51]) * 256
 
 
 @inlined
@@ -155,12 +200,18 @@ def decode_pose(layout, tables, book, codes, frame, share, out, at):
     for k in range(0, padded * ROWS + layout[MORPHS], width):
         store(out_at, at + k, load(tables_at, base + k))
     if layout[TRACKS] > 0:
-        segment = frame // FRAMES
-        local = frame - segment * FRAMES
+        slot = frame // FRAMES
+        entry = layout[HEADER + layout[TRACKS] + slot]
+        samples = 1 << (entry & 7)  # per frame
+        position = (frame - slot * FRAMES + share) * samples
+        sample = min(int(position), FRAMES * samples - 1)
+        mixed = frame + 1 < layout[FRAME_COUNT]
+        share = position - sample
+        segment = (entry >> 3) + sample // FRAMES
+        local = sample % FRAMES
         row = local * FRAMES
         scales = layout[SCALES]
         scale = tables[scales + segment]
-        mixed = frame + 1 < layout[FRAME_COUNT]
         if mixed and local < FRAMES - 1:
             weights = load_sixteen(tables_at, row) * ((1 - share) * scale) + load_sixteen(tables_at, row + FRAMES) * (
                 share * scale
@@ -178,8 +229,11 @@ def decode_pose(layout, tables, book, codes, frame, share, out, at):
     for j in range(0, padded, width):
         w, x, y, z = load4(out_at, at + j, padded)
         square = x * x + y * y + z * z
-        w = w + sqrt(maximum(1.0 - square, fill(tables, 0.0))) * load(tables_at, complete + j)
-        length = rsqrt(w * w + square)
+        rational = load(tables_at, complete + j)
+        w = w + rational * (1.0 - square)
+        double = 1.0 + rational
+        x, y, z = x * double, y * double, z * double
+        length = rsqrt(w * w + x * x + y * y + z * z)
         aw, ax, ay, az = load4(tables_at, before + j, padded)
         bw, bx, by, bz = load4(tables_at, after + j, padded)
         w, x, y, z = quat_multiply(aw, ax, ay, az, w * length, x * length, y * length, z * length)
@@ -210,7 +264,9 @@ def decode_at(layout, tables, book, codes, start_s, rate_hz, loop, times_s, out)
 
 
 @kernel
-def decode_to(layout, tables, book, codes, start_s, rate_hz, loop, times_s, room, rotations, translations, scales, weights):
+def decode_to(
+    layout, tables, book, codes, start_s, rate_hz, loop, times_s, room, rotations, translations, scales, weights
+):
     """Poses at many times as (N, J, 4), (N, J, 3), (N, J, 3) and (N, M); ``room`` holds the rows of one pose."""
     frames, padded = layout[FRAME_COUNT], layout[PADDED]
     for n in range(times_s.shape[0]):

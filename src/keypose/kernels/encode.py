@@ -20,6 +20,7 @@ from keypose.kernels.runtime import inlined, kernel
 
 FRAMES = 16
 MAX_BITS = 24
+COARSEST = 127
 SCALE_STEPS = 8  # the scale of a segment is a power of 2 ** (1 / 8)
 
 
@@ -185,18 +186,21 @@ def _steady(anchor_error, offsets, count, leaf, turn):
 
 
 @kernel
-def encode_segment(
-    parents, kinds, pre, post, base, rotation_tracks, other_tracks, child_starts, children,
-    rotations, translations, scales, true_rotations, true_matrices, weights, weight_tracks,
-    steps, scale, basis, book, sizes, tolerances, weight_tolerance, shell, closed,
-    codes, needed, chosen, joint_ratio,
-):  # fmt: skip
+def encode_segment(rig, truth, steps, scale, coder, limits, closed, out):
     """Encode the 16 frames of one segment; returns (largest error / tolerance, bits), infinity where it does not fit.
 
-    kinds (J,) 0 constant, 3 or 4 coded numbers of the rotation; pre, post (J, 4) the quaternions around them; base (J, 6)
-    constant translation and scale; rotation_tracks (J, 4) tracks of w, x, y, z and other_tracks (J, 6) of translation
-    and scale, -1 for none. Outputs: codes and needed (tracks, 16), chosen (tracks,), joint_ratio (J,).
+    rig: parents (J,); kinds (J,) 0 constant, 3 or 4 coded numbers of the rotation; pre, post (J, 4) the quaternions around
+    them; base (J, 6) constant translation and scale; rotation_tracks (J, 4) tracks of w, x, y, z and other_tracks (J, 6)
+    of translation and scale, -1 for none; child_starts (J + 1,) and children; weight_tracks (M,).
+    truth: 16 frames of local rotations, translations, scales, model-space rotations and matrices, morph weights.
+    coder: basis (16, 16), book (P, 16) or empty, sizes (P,). limits: tolerances (J,), of weights, distance of the shell.
+    out: codes and needed (tracks, 16), chosen (tracks,), joint_ratio (J,).
     """
+    parents, kinds, pre, post, base, rotation_tracks, other_tracks, child_starts, children, weight_tracks = rig
+    rotations, translations, scales, true_rotations, true_matrices, weights = truth
+    basis, book, sizes = coder
+    tolerances, weight_tolerance, shell = limits
+    codes, needed, chosen, joint_ratio = out
     joints = parents.shape[0]
     world = np.empty((FRAMES, joints, 4))
     matrices = np.empty((FRAMES, joints, 12))
@@ -287,8 +291,13 @@ def encode_segment(
                 _conjugate(post[j], up)
                 _multiply(turned, up, q)
                 sign = 1.0 if c[0] * q[0] + c[1] * q[1] + c[2] * q[2] + c[3] * q[3] >= 0 else -1.0
+                below = 1.0
+                if kind == 3:
+                    below = 1.0 + sign * c[0]
+                    if below < 0.1:
+                        return math.inf, 0
                 for k in range(4):
-                    spin[f, k] = sign * c[k]
+                    spin[f, k] = sign * c[k] / below
             for k in range(4):
                 track = rotation_tracks[j, k]
                 if track < 0:
@@ -313,11 +322,15 @@ def encode_segment(
         for f in range(FRAMES):
             if kind > 0:
                 square = spin[f, 1] * spin[f, 1] + spin[f, 2] * spin[f, 2] + spin[f, 3] * spin[f, 3]
-                w = spin[f, 0] + (math.sqrt(max(0.0, 1.0 - square)) if kind == 3 else 0.0)
-                length = math.sqrt(w * w + square)
+                w, double = spin[f, 0], 1.0
+                if kind == 3:
+                    w, double = 1.0 - square, 2.0
+                length = math.sqrt(w * w + double * double * square)
                 if length < 1e-6:
                     return math.inf, 0
-                c[0], c[1], c[2], c[3] = w / length, spin[f, 1] / length, spin[f, 2] / length, spin[f, 3] / length
+                c[0] = w / length
+                for k in range(1, 4):
+                    c[k] = double * spin[f, k] / length
                 _multiply(pre[j], c, turned)
                 _multiply(turned, post[j], q)
             else:
@@ -357,55 +370,41 @@ def encode_segment(
 
 
 @kernel
-def search_scale(
-    parents, kinds, pre, post, base, rotation_tracks, other_tracks, child_starts, children,
-    rotations, translations, scales, true_rotations, true_matrices, weights, weight_tracks,
-    steps, hint, lowest, basis, book, sizes, tolerances, weight_tolerance, shell, closed, goal, lucky,
-    codes, needed, chosen, joint_ratio,
-):  # fmt: skip
+def search_scale(rig, truth, steps, hint, lowest, coder, limits, closed, goal, lucky, out):
     """The coarsest scale ``2 ** (n / 8)`` of a segment's steps whose error stays under ``goal`` tolerances.
 
     Starts at n = ``hint``, tries ``lucky`` coarser scales beyond the first failure, and leaves the outputs of
     `encode_segment` for the one it returns. Returns (n, error, bits); n = ``lowest`` is the last resort.
     """
-    good, bad = lowest - 1, np.int64(1 << 30)
+    # Infinity says that the steps are too fine to be stored; then only coarser ones are left.
+    good, bad = np.int64(lowest - 1), np.int64(COARSEST + 1)
     n, stride = np.int64(hint), np.int64(4)
     while bad - good > 1:
-        ratio, bits = encode_segment(
-            parents, kinds, pre, post, base, rotation_tracks, other_tracks, child_starts, children,
-            rotations, translations, scales, true_rotations, true_matrices, weights, weight_tracks,
-            steps, 2.0 ** (n / SCALE_STEPS), basis, book, sizes, tolerances, weight_tolerance, shell, closed,
-            codes, needed, chosen, joint_ratio,
-        )  # fmt: skip
-        if ratio <= goal:
+        ratio, bits = encode_segment(rig, truth, steps, 2.0 ** (n / SCALE_STEPS), coder, limits, closed, out)
+        if ratio <= goal or ratio == math.inf:
             good = n
         else:
             bad = n
-        if bad == np.int64(1 << 30):
-            n = good + stride
+        if bad > COARSEST:
+            n = min(good + stride, COARSEST)
             stride *= 2
-            if n > 127:
-                break
-        elif good == lowest - 1:
+        elif good < lowest:
             n = max(bad - stride, lowest)
             stride *= 2
-            if bad <= lowest:
-                break
         else:
             n = (good + bad) // 2
-    best = max(good, lowest)
     # Errors are noisy: a coarser scale may pass by luck.
-    n = best + 1 + lucky if best < 127 and bad < 127 else best
+    best = max(good, lowest)
+    n = min(best + 1 + lucky, COARSEST)
     while True:
-        ratio, bits = encode_segment(
-            parents, kinds, pre, post, base, rotation_tracks, other_tracks, child_starts, children,
-            rotations, translations, scales, true_rotations, true_matrices, weights, weight_tracks,
-            steps, 2.0 ** (n / SCALE_STEPS), basis, book, sizes, tolerances, weight_tolerance, shell, closed,
-            codes, needed, chosen, joint_ratio,
-        )  # fmt: skip
+        ratio, bits = encode_segment(rig, truth, steps, 2.0 ** (n / SCALE_STEPS), coder, limits, closed, out)
         if ratio <= goal or n <= best:
-            return n, ratio, bits
+            break
         n -= 1
+    while ratio == math.inf and n < COARSEST:
+        n += 1
+        ratio, bits = encode_segment(rig, truth, steps, 2.0 ** (n / SCALE_STEPS), coder, limits, closed, out)
+    return n, ratio, bits
 
 
 @kernel

@@ -1,0 +1,23 @@
+"""The real-time runtime: compiled clips, sampled at any time."""
+
+from keypose.play.clip import (
+    CompiledClip,
+    CompileError,
+    compile_clip,
+    from_bytes,
+    sample,
+    sample_rows,
+    sample_weights,
+    to_bytes,
+)
+
+__all__ = [
+    "CompileError",
+    "CompiledClip",
+    "compile_clip",
+    "from_bytes",
+    "sample",
+    "sample_rows",
+    "sample_weights",
+    "to_bytes",
+]

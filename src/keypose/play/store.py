@@ -1,0 +1,472 @@
+"""The bytes of a compiled clip, and the arrays that the decoder runs on.
+
+File, little-endian::
+
+    8   "KEYPCLIP"
+    4   version (1)
+    8   length of the whole file
+    4   CRC-32 of everything after this number
+    4   length of the header; the header is JSON, deflated
+    ... sections, one after another; their sizes follow from the header and from the sections before
+
+Sections: tables (their length in 4 bytes, then deflated: what each joint's rotation is made of, which numbers move, step
+sizes of the tracks, bit profiles, scales of the segments), constant quaternions, translations, scales and morph weights,
+codes.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from keypose.arrays import Array
+from keypose.errors import FormatError
+
+FINEST = 5  # a slot is cut into 2 ** 5 segments at most
+MAGIC, VERSION = b"KEYPCLIP", 1
+_PREFIX = struct.Struct("<8sIQII")
+HEADER_AT = _PREFIX.size
+_LONGEST_HEADER = 1 << 26
+FRAMES, MAX_BITS, MARGIN, ENTRY, ROWS, HEADER = 16, 24, 64, 128, 10, 16
+
+# What a joint's rotation is made of.
+IDENTITY, CONSTANT, EXACT, THREE, FOUR = range(5)
+_MOVED, _SCALED = 8, 16  # flags: a constant translation, scale is stored
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Packed:
+    """Everything of a compiled clip that is stored, in the precision in which it is stored.
+
+    J joints, M morphs, N tracks (in the order of the joints: translation, scale, rotation w x y z; then morphs),
+    S segments of 16 frames, P profiles.
+    """
+
+    info: dict[str, Any]
+    kinds: Array  # (J,) uint8
+    moving: Array  # (J,) uint16, bits 0-9: w x y z, translation, scale
+    before: Array  # (J, 4) float64: rotation = before * coded * after
+    after: Array  # (J, 4)
+    translations: Array  # (J, 3) float32
+    scales: Array  # (J, 3) float32
+    morphs: Array  # (M,) float32
+    morphs_moving: Array  # (M,) bool
+    steps: Array  # (N,) int16: a step is 2 ** (n / 4)
+    book: Array  # (P, 16) uint8 bit widths, sorted by their sums
+    segment_scales: Array  # (S,) int8: 2 ** (n / 8)
+    codes: bytes  # per segment N profiles and the coefficients
+
+    @property
+    def track_count(self) -> int:
+        """N."""
+        return len(self.steps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoder:
+    """The arrays that `keypose.kernels.decode` runs on; see there for the layout."""
+
+    layout: Array
+    tables: Array
+    book: Array
+    codes: Array
+
+    @property
+    def padded(self) -> int:
+        """Joints, filled up to a multiple of 16."""
+        return int(self.layout[0])
+
+    @property
+    def stride(self) -> int:
+        """float32 numbers of one decoded pose."""
+        return ROWS * self.padded + int(self.layout[3])
+
+
+def cosines() -> Array:
+    """The orthonormal cosine transform of a segment, (16 frames, 16 coefficients) float64."""
+    frame, k = np.arange(FRAMES)[:, None], np.arange(FRAMES)
+    basis = np.cos(np.pi * (frame + 0.5) * k / FRAMES) * np.sqrt(2 / FRAMES)
+    basis[:, 0] = np.sqrt(1 / FRAMES)
+    return basis
+
+
+# --- quaternions in eight bytes ------------------------------------------------------------------------------------------
+
+_FINE = (1 << 19) - 1  # largest number of 20 bits with a sign
+# No component but the largest can be greater than sqrt(1/2). Among nearly equal ones the first counts as the largest, so
+# that what was unpacked packs to the same number again.
+_ALIKE, _REACH = 1e-5, 0.7072
+
+
+def pack_quaternions(q: Array) -> Array:
+    """Unit quaternions (N, 4) as (N,) uint64: which component is largest, and the three others in 20 bits each."""
+    q = np.asarray(q, np.float64)
+    rows = np.arange(len(q))
+    size = np.abs(q)
+    largest = np.argmax(size >= np.max(size, axis=1, keepdims=True) - _ALIKE, axis=1)
+    q = q * np.where(q[rows, largest] < 0, -1.0, 1.0)[:, None]
+    packed = largest.astype(np.uint64)
+    for k in range(1, 4):
+        value = np.rint(q[rows, (largest + k) % 4] / _REACH * _FINE)
+        code = (np.clip(value, -_FINE, _FINE) + _FINE).astype(np.uint64)
+        packed |= code << np.uint64(20 * k - 18)
+    return packed
+
+
+def unpack_quaternions(packed: Array) -> Array:
+    """The inverse of `pack_quaternions`, (N, 4) float64; any number gives a unit quaternion."""
+    packed = np.asarray(packed, np.uint64)
+    rows = np.arange(len(packed))
+    q = np.zeros((len(packed), 4))
+    largest = (packed & np.uint64(3)).astype(np.intp)
+    for k in range(1, 4):
+        code = (packed >> np.uint64(20 * k - 18)) & np.uint64((1 << 20) - 1)
+        q[rows, (largest + k) % 4] = (code.astype(np.float64) - _FINE) / _FINE * _REACH
+    q[rows, largest] = np.sqrt(np.maximum(0.0, 1.0 - np.sum(q * q, axis=1)))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+# --- tracks --------------------------------------------------------------------------------------------------------------
+
+
+def track_targets(packed: Packed, padded: int) -> Array:
+    """Where the decoder adds each track, (N,), in the order in which tracks are stored."""
+    targets: list[int] = []
+    for j, bits in enumerate(packed.moving.tolist()):
+        targets += [row * padded + j for row in (*range(4, ROWS), *range(4)) if bits >> row & 1]
+    targets += [ROWS * padded + m for m in np.nonzero(packed.morphs_moving)[0].tolist()]
+    return np.array(targets, np.int64)
+
+
+def refinements(info: Mapping[str, Any]) -> Array:
+    """Of each slot of 16 frames, (slots,) int64: it has 2 ** n segments of 16 samples."""
+    slots = np.zeros(-(-info["frames"] // FRAMES), np.int64)
+    for slot, n in info["refined"]:
+        slots[slot] = n
+    return slots
+
+
+def segment_offsets(packed: Packed) -> Array:
+    """Byte offset of each segment in the codes, and the end of the last, (S + 1,).
+
+    Raises:
+        FormatError: where the codes end too early or too late, or name a profile that does not exist.
+    """
+    tracks, segments = packed.track_count, len(packed.segment_scales)
+    sizes = profile_bytes(packed.book)
+    codes = np.frombuffer(packed.codes, np.uint8)
+    offsets = np.zeros(segments + 1, np.int64)
+    at = 0
+    for s in range(segments):
+        profiles = codes[at : at + tracks]
+        if len(profiles) < tracks:
+            raise FormatError("the file ends inside the profiles", where=f"segment {s}")
+        if tracks and int(profiles.max()) >= len(sizes):
+            raise FormatError(f"profile {int(profiles.max())} of {len(sizes)}", where=f"segment {s}")
+        at += tracks + int(sizes[profiles].sum())
+        offsets[s + 1] = at
+    if at != len(codes):
+        raise FormatError(f"expected {at} bytes of codes, got {len(codes)}", where=f"segment {segments - 1}")
+    return offsets
+
+
+def decoder(packed: Packed) -> Decoder:
+    """The run-time arrays of a compiled clip."""
+    from keypose.kernels.runtime import aligned, aligned_copy
+
+    joints, morphs, tracks = len(packed.kinds), len(packed.morphs), packed.track_count
+    segments, frames = len(packed.segment_scales), int(packed.info["frames"])
+    padded, morph_room = -(-max(joints, 1) // 16) * 16, -(-morphs // 16) * 16
+    steps_at = FRAMES * FRAMES
+    scales_at = steps_at + tracks
+    base_at = -(-(scales_at + segments) // 16) * 16
+    before_at = base_at + ROWS * padded + morph_room
+    tables = aligned(before_at + 9 * padded)
+    tables[:steps_at] = cosines().ravel()
+    tables[steps_at:scales_at] = np.exp2(packed.steps / 4) / 2  # codes count half steps
+    tables[scales_at : scales_at + segments] = np.exp2(packed.segment_scales / 8)
+    base = tables[base_at : base_at + ROWS * padded].reshape(ROWS, padded)
+    base[7:] = 1.0
+    base[4:7, :joints] = packed.translations.T
+    base[7:, :joints] = packed.scales.T
+    tables[base_at + ROWS * padded :][:morphs] = packed.morphs
+    around = tables[before_at:].reshape(9, padded)
+    around[0], around[4] = 1.0, 1.0
+    around[:4, :joints], around[4:8, :joints] = packed.before.T, packed.after.T
+    around[8] = 1.0  # x, y, z are divided by 1 + w
+    around[8, :joints][packed.kinds == FOUR] = 0.0
+    slots = refinements(packed.info) if tracks else np.zeros(0, np.int64)
+    layout = np.zeros(HEADER + tracks + len(slots) + segments, np.int64)
+    layout[:9] = padded, tracks, frames, morph_room, len(slots), steps_at, scales_at, base_at, before_at
+    layout[HEADER : HEADER + tracks] = track_targets(packed, padded)
+    layout[HEADER + tracks :][: len(slots)] = (np.cumsum(1 << slots) - (1 << slots)) * 8 + slots
+    layout[HEADER + tracks + len(slots) :] = segment_offsets(packed)[:-1] + MARGIN
+    codes = aligned(MARGIN + len(packed.codes) + MARGIN, np.uint8)
+    codes[MARGIN : MARGIN + len(packed.codes)] = np.frombuffer(packed.codes, np.uint8)
+    arrays = (layout, tables, aligned_copy(_book_table(packed.book), np.uint8), codes)
+    for array in arrays:
+        array.setflags(write=False)
+    return Decoder(*arrays)
+
+
+def profile_bytes(book: Array) -> Array:
+    """Bytes that one track takes with each profile, (P,)."""
+    return (book.astype(np.int64).sum(axis=1) + 7) // 8
+
+
+def _book_table(book: Array) -> Array:
+    """Per profile the bytes that the decoder reads: where the coefficients are, shifts, which are stored, size."""
+    widths = book.astype(np.int64)
+    table = np.zeros((max(len(book), 1), ENTRY), np.uint8)
+    if not len(book):
+        return table
+    starts = np.cumsum(widths, axis=1) - widths
+    table[:, :64] = (starts[:, :, None] // 8 + np.arange(4)).reshape(len(book), 64)
+    table[:, 64:80] = np.where(widths > 0, 32 - starts % 8 - widths, 0)
+    table[:, 80:96] = np.where(widths > 0, 31 - widths, 0)
+    table[:, 96:98] = np.packbits(widths > 0, axis=1, bitorder="little")
+    table[:, 98] = profile_bytes(book)
+    return table
+
+
+# --- codes ---------------------------------------------------------------------------------------------------------------
+
+
+def pack_codes(profiles: Array, coefficients: Array, book: Array) -> bytes:
+    """One segment: its profiles (N,), then of each track the coefficients (16,) in the profile's bits, lowest bit first."""
+    widths = book[profiles].astype(np.int64)
+    fill = profile_bytes(book)[profiles] * 8 - widths.sum(axis=1)  # up to whole bytes
+    widths = np.concatenate([widths, fill[:, None]], axis=1).ravel()
+    values = np.concatenate([coefficients, np.zeros((len(profiles), 1), np.int64)], axis=1).ravel() & (
+        (1 << widths) - 1
+    )
+    place = np.arange(MAX_BITS)
+    bits = ((values[:, None] >> place) & 1).astype(np.uint8)[place < widths[:, None]]
+    return profiles.astype(np.uint8).tobytes() + np.packbits(bits, bitorder="little").tobytes()
+
+
+def unpack_segment(packed: Packed, offsets: Array, segment: int) -> Array:
+    """Coefficients (N, 16) float64 of one segment, decoded plainly: what the kernel is tested against."""
+    tracks = packed.track_count
+    block = np.frombuffer(packed.codes, np.uint8)[offsets[segment] : offsets[segment + 1]]
+    widths = packed.book[block[:tracks]].astype(np.int64)
+    bits = np.unpackbits(block[tracks:], bitorder="little")
+    result, at = np.zeros((tracks, FRAMES)), 0
+    steps = np.exp2(packed.steps / 4) * np.exp2(packed.segment_scales[segment] / 8)
+    for n in range(tracks):
+        for k in range(FRAMES):
+            width = int(widths[n, k])
+            if width:
+                value = int(sum(int(b) << i for i, b in enumerate(bits[at : at + width])))
+                value -= (value >> (width - 1)) << width
+                result[n, k] = (value + 0.5) * steps[n]
+            at += width
+        at = -(-at // 8) * 8
+    return result
+
+
+# --- the file --------------------------------------------------------------------------------------------------------------
+
+
+def to_bytes(packed: Packed) -> bytes:
+    """The whole file."""
+    kinds = packed.kinds
+    moved = np.any(packed.translations != 0, axis=1)
+    scaled = np.any(packed.scales != 1, axis=1)
+    flags = (kinds | np.where(moved, _MOVED, 0) | np.where(scaled, _SCALED, 0)).astype(np.uint8)
+    header = zlib.compress(
+        json.dumps(
+            {
+                **packed.info,
+                "morph_tracks": np.nonzero(packed.morphs_moving)[0].tolist(),
+                "profiles": len(packed.book),
+                "tracks": packed.track_count,
+            },
+            ensure_ascii=False,
+            separators=(",", ":"),
+            allow_nan=False,
+        ).encode(),
+        9,
+    )
+    tables = zlib.compress(
+        b"".join(
+            (
+                flags.tobytes(),
+                packed.moving.astype("<u2").tobytes(),
+                packed.steps.astype("<i2").tobytes(),
+                np.ascontiguousarray(packed.book.T, np.uint8).tobytes(),
+                packed.segment_scales.astype(np.int8).tobytes(),
+            )
+        ),
+        9,
+    )
+    sections = [
+        struct.pack("<I", len(tables)),
+        tables,
+        pack_quaternions(packed.before[(kinds == CONSTANT) | (kinds >= THREE)]).astype("<u8").tobytes(),
+        pack_quaternions(packed.after[kinds >= THREE]).astype("<u8").tobytes(),
+        packed.before[kinds == EXACT].astype("<f4").tobytes(),
+        packed.translations[moved].astype("<f4").tobytes(),
+        packed.scales[scaled].astype("<f4").tobytes(),
+        packed.morphs.astype("<f4").tobytes(),
+        packed.codes,
+    ]
+    rest = struct.pack("<I", len(header)) + header + b"".join(sections)
+    length = _PREFIX.size - 4 + len(rest)
+    return _PREFIX.pack(MAGIC, VERSION, length, zlib.crc32(rest), len(header)) + rest[4:]
+
+
+class _Sections:
+    """Takes sections off a file and says where it ends too early."""
+
+    def __init__(self, data: memoryview, at: int) -> None:
+        self.data, self.at = data, at
+
+    def take(self, count: int, dtype: str, what: str, columns: int = 0) -> Array:
+        size = count * max(columns, 1) * np.dtype(dtype).itemsize
+        if size > len(self.data) - self.at:
+            raise FormatError(f"the file ends inside the {what}: expected {size} bytes", where=f"byte {self.at}")
+        array = np.frombuffer(self.data[self.at : self.at + size], dtype)
+        self.at += size
+        return array.reshape(count, columns) if columns else array
+
+
+def from_bytes(data: bytes) -> Packed:
+    """The stored parts of a file, checked.
+
+    Raises:
+        FormatError: where the bytes are no compiled clip, of another version, changed or cut.
+    """
+    if len(data) < _PREFIX.size or data[:8] != MAGIC:
+        raise FormatError("not a compiled clip: expected it to start with 'KEYPCLIP'", where="byte 0")
+    _, version, length, checksum, header_size = _PREFIX.unpack_from(data)
+    if version != VERSION:
+        raise FormatError(f"version {version} of compiled clips; this library reads {VERSION}", where="byte 8")
+    if length != len(data):
+        raise FormatError(f"expected {length} bytes, the file has {len(data)}", where="byte 12")
+    if zlib.crc32(memoryview(data)[_PREFIX.size - 4 :]) != checksum:
+        raise FormatError("the checksum does not match: the file was changed", where="byte 20")
+    view = memoryview(data)
+    sections = _Sections(view, _PREFIX.size)
+    info = _header(bytes(sections.take(header_size, "u1", "header")))
+    joints, morphs, tracks = len(info["joints"]), len(info["morphs"]), info.pop("tracks")
+    profiles, morph_tracks = info.pop("profiles"), info.pop("morph_tracks")
+    segments = -(-info["frames"] // FRAMES) + sum((1 << n) - 1 for _, n in info["refined"]) if tracks else 0
+    size = int(sections.take(1, "<u4", "tables")[0])
+    where = sections.at
+    length = 3 * joints + 2 * tracks + FRAMES * profiles + segments
+    tables = _Sections(memoryview(_inflated(bytes(sections.take(size, "u1", "tables")), length, where)), 0)
+    flags = tables.take(joints, "u1", "kinds of rotation")
+    kinds = flags & 7
+    moving = tables.take(joints, "<u2", "moving numbers").astype(np.uint16)
+    before, after = np.tile([1.0, 0, 0, 0], (joints, 1)), np.tile([1.0, 0, 0, 0], (joints, 1))
+    coded, exact = kinds >= THREE, kinds == EXACT
+    short = (kinds == CONSTANT) | coded
+    before[short] = unpack_quaternions(sections.take(int(short.sum()), "<u8", "quaternions"))
+    after[coded] = unpack_quaternions(sections.take(int(coded.sum()), "<u8", "quaternions"))
+    before[exact] = sections.take(int(exact.sum()), "<f4", "quaternions", 4)
+    translations, scales = np.zeros((joints, 3), np.float32), np.ones((joints, 3), np.float32)
+    moved, scaled = flags & _MOVED > 0, flags & _SCALED > 0
+    translations[moved] = sections.take(int(moved.sum()), "<f4", "translations", 3)
+    scales[scaled] = sections.take(int(scaled.sum()), "<f4", "scales", 3)
+    morph_base = sections.take(morphs, "<f4", "morph weights")
+    steps = tables.take(tracks, "<i2", "steps")
+    book = tables.take(FRAMES, "u1", "profiles", profiles).T if profiles else np.zeros((0, FRAMES), np.uint8)
+    segment_scales = tables.take(segments, "i1", "scales of segments")
+    codes = bytes(view[sections.at :])
+    morphs_moving = np.zeros(morphs, bool)
+    morphs_moving[morph_tracks] = True
+    _check_parts(kinds, moving, morphs_moving, tracks, book, before, (translations, scales, morph_base))
+    packed = Packed(
+        info, kinds, moving, before, after, translations, scales, morph_base, morphs_moving, steps,
+        np.ascontiguousarray(book), segment_scales, codes,
+    )  # fmt: skip
+    segment_offsets(packed)
+    return packed
+
+
+def _check_parts(
+    kinds: Array,
+    moving: Array,
+    morphs_moving: Array,
+    tracks: int,
+    book: Array,
+    before: Array,
+    numbers: tuple[Array, ...],
+) -> None:
+    if len(kinds) and int(kinds.max()) > FOUR:
+        raise FormatError(f"unknown kind of rotation {int(kinds.max())}", where="section of kinds")
+    bits = np.unpackbits(moving.astype("<u2").view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")
+    turning = bits[:, :4].any(axis=1)
+    if bits[:, ROWS:].any() or np.any(turning & (kinds < THREE)) or np.any(bits[:, 0].astype(bool) & (kinds != FOUR)):
+        raise FormatError("a moving number that its joint does not have", where="section of moving numbers")
+    if int(bits.sum()) + int(morphs_moving.sum()) != tracks:
+        raise FormatError(
+            f"{int(bits.sum()) + int(morphs_moving.sum())} moving numbers for {tracks} tracks", where="header"
+        )
+    if book.size and int(book.max()) > MAX_BITS:
+        raise FormatError(f"a coefficient of {int(book.max())} bits", where="section of profiles")
+    if not all(np.all(np.isfinite(n)) for n in (*numbers, before)):
+        raise FormatError("a constant is not a finite number", where="section of constants")
+    if np.any(np.abs(np.linalg.norm(before, axis=1) - 1) > 1e-3):
+        raise FormatError("a constant rotation is not of length one", where="section of quaternions")
+
+
+_SHAPE: dict[str, type | tuple[type, ...]] = {
+    "name": str, "joints": list, "morphs": list, "frames": int, "rate_hz": (int, float), "start_s": (int, float),
+    "loop": bool, "tolerance_m": (int, float), "shell_m": (int, float), "error": dict, "events": list, "tracks": int,
+    "profiles": int, "morph_tracks": list, "refined": list,
+}  # fmt: skip
+
+
+def _inflated(deflated: bytes, most: int, where: int, exact: bool = True) -> bytes:
+    """What was deflated; never more than ``most`` bytes of it are held."""
+    try:
+        inflate = zlib.decompressobj()
+        data = inflate.decompress(deflated, max(most, 1))
+    except zlib.error as error:
+        raise FormatError(f"cannot be inflated: {error}", where=f"byte {where}") from None
+    if (not inflate.eof and inflate.decompress(inflate.unconsumed_tail, 1)) or (exact and len(data) != most):
+        raise FormatError(f"expected {most} bytes when inflated", where=f"byte {where}")
+    return data
+
+
+def _header(deflated: bytes) -> dict[str, Any]:
+    where = f"byte {_PREFIX.size}"
+    try:
+        loaded = json.loads(_inflated(deflated, _LONGEST_HEADER, _PREFIX.size, exact=False))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"the header cannot be read: {error}", where=where) from None
+    if not isinstance(loaded, dict):
+        raise FormatError("the header is no object", where=where)
+    info = cast(dict[str, Any], loaded)
+    for key, kind in _SHAPE.items():
+        if not isinstance(info.get(key), kind) or (kind is not bool and isinstance(info.get(key), bool)):
+            raise FormatError(f"header: expected '{key}' to be a {kind}", where=where)
+    numbers = [info[k] for k in ("rate_hz", "start_s", "tolerance_m", "shell_m")]
+    if not all(abs(n) < 1e300 for n in numbers) or info["rate_hz"] <= 0:  # also false for NaN
+        raise FormatError("header: expected finite numbers and a positive rate", where=where)
+    if info["frames"] < 1 or info["tracks"] < 0 or not 0 <= info["profiles"] <= 256:
+        raise FormatError("header: expected frames, and at most 256 profiles", where=where)
+    if info["frames"] > 1 << 40:
+        raise FormatError(f"header: {info['frames']} frames", where=where)
+    slots = -(-info["frames"] // FRAMES)
+    for pair in info["refined"]:
+        good = isinstance(pair, list) and len(pair) == 2 and all(type(n) is int for n in pair)
+        if not good or not (0 <= pair[0] < slots and 0 < pair[1] <= FINEST):
+            raise FormatError(f"header: no refinement of a slot: {pair}", where=where)
+    if len({slot for slot, _ in info["refined"]}) != len(info["refined"]):
+        raise FormatError("header: a slot is refined twice", where=where)
+    if not all(isinstance(n, str) for n in (*info["joints"], *info["morphs"])):
+        raise FormatError("header: expected names to be text", where=where)
+    if not all(isinstance(m, int) and 0 <= m < len(info["morphs"]) for m in info["morph_tracks"]):
+        raise FormatError("header: a morph track of no morph", where=where)
+    return info
