@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry import components, directed_edges, face_normals, open_edges, volume
 from scipy.spatial import cKDTree
 
 from keypose.errors import UnknownName
@@ -17,6 +16,7 @@ from keypose.model import Character
 from keypose.samples import load, names, open_scene
 from keypose.samples.human import human
 from keypose.samples.skeleton import bend_axis, hand_axes, rest_positions, roles, skeleton, twist_axis
+from tests.samples.geometry import components, directed_edges, face_normals, open_edges, volume
 
 PARTS = [part.name for part in human().parts]
 CLOSED = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry import face_normals, volume
 
 from keypose.math import quat
 from keypose.model import Character
 from keypose.samples.skeleton import twist_axis
+from tests.samples.geometry import face_normals, volume
 
 FIST = {
     f"{side}Hand{finger}{n}": angle

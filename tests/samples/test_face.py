@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from geometry import depth_from_front, face_normals, seen_from_front
 
 from keypose.model import Character
 from keypose.samples.human import human
@@ -13,6 +12,7 @@ from keypose.samples.human_head import MOUTH_HALF, mouth_line
 from keypose.samples.skeleton import EYE_CENTRE as LIFE_SIZE_EYE
 from keypose.samples.skeleton import EYE_RADIUS as LIFE_SIZE_RADIUS
 from keypose.samples.skeleton import HEAD_SCALE, enlarged
+from tests.samples.geometry import depth_from_front, face_normals, seen_from_front
 
 EYE_CENTRE = enlarged(np.array(LIFE_SIZE_EYE))
 EYE_RADIUS = HEAD_SCALE * LIFE_SIZE_RADIUS

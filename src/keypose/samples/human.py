@@ -332,8 +332,8 @@ def human() -> Character:
     parts.append(
         _part("ears", "skin", enlarged(ear_points), ear_triangles, _dense({"Head": 1}, len(ear_points)), colors=tint)
     )
-    hair = [human_hair.cap(), *human_hair.locks()]
-    parts.append(_piece_part("hair", "hair", [Piece(p, t, {"Head": 1.0}) for p, t in hair]))
+    points, triangles, shade = human_hair.hair()
+    parts.append(_piece_part("hair", "hair", [Piece(points, triangles, {"Head": 1.0}, shade)]))
     return Character(skeleton(), tuple(parts), NAME, MORPHS, roles=roles())
 
 

@@ -1,120 +1,145 @@
-"""The built-in human's hair: a cap that follows the skull and broad tapered locks swept from a side parting."""
+"""The built-in human's hair: one closed body whose strips run from a side parting down to the hairline.
+
+The strips follow the way the hair is combed. Each lock is four strips wide, and its section rises steeply from the
+groove beside it and falls gently to the next one, so that every lock seems to lie over its neighbour while the surface
+has no gaps. Places are directions from a point inside the head with a height above the skin.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from keypose.arrays import Floats, Ints
-from keypose.samples.human_features import scalp, tube
+from keypose.samples.human_features import scalp
 from keypose.samples.shapes import smoothstep
 
 _CENTRE = np.array([0.0, 1.565, -0.015])
 
-# azimuth in degrees -> elevation of the hairline, for either side
+# azimuth in degrees (0 in front, the left side positive) -> elevation of the hairline
 _HAIRLINE = (
-    (0, 40), (22, 38), (42, 31), (56, 18), (63, 0), (70, -16), (80, -17), (88, 4), (100, 10), (114, -6),
-    (126, -28), (142, -40), (160, -45), (180, -46),
+    (-180, -43), (-158, -42), (-140, -37), (-126, -25), (-114, -8), (-105, 3), (-96, 6), (-88, 2), (-82, -10),
+    (-76, -12), (-71, -3), (-66, 8), (-58, 18), (-46, 24), (-30, 29), (-14, 34), (2, 39), (16, 43), (30, 42), (43, 34),
+    (56, 21), (66, 8), (71, -3), (76, -12), (82, -10), (88, 2), (96, 6), (105, 3), (114, -8), (126, -25), (140, -37),
+    (158, -42), (180, -43),
 )  # fmt: skip
 
-# A lock: control points (azimuth, elevation in degrees, height above the skin in millimetres), half width and half
-# thickness in millimetres.
-_LOCKS = (
-    # the fringe, from the parting on the left over the brow to the right
-    (((34, 56, 12), (8, 55, 27), (-22, 46, 26), (-46, 31, 17), (-62, 14, 7)), 24, 11),
-    (((36, 50, 11), (16, 46, 25), (-8, 40, 25), (-30, 30, 18), (-47, 20, 9)), 20, 10),
-    (((34, 64, 12), (2, 66, 28), (-36, 56, 25), (-60, 36, 17), (-76, 14, 8)), 25, 11),
-    (((36, 72, 12), (-6, 78, 27), (-62, 66, 24), (-82, 42, 18), (-96, 16, 9)), 26, 11),
-    (((44, 80, 12), (-60, 84, 25), (-105, 66, 23), (-112, 40, 18), (-116, 12, 9)), 27, 11),
-    (((60, 84, 12), (-140, 80, 24), (-140, 60, 23), (-138, 34, 18), (-138, 4, 9)), 27, 11),
-    # the short side, from the parting to the left
-    (((36, 54, 12), (50, 45, 17), (60, 32, 15), (66, 18, 11), (70, 2, 4)), 20, 8),
-    (((42, 62, 13), (64, 54, 19), (80, 40, 18), (88, 24, 13), (94, 8, 6)), 23, 9),
-    (((52, 72, 13), (86, 64, 21), (104, 46, 20), (112, 26, 15), (117, 6, 7)), 25, 10),
-    (((70, 82, 12), (128, 70, 22), (138, 50, 22), (142, 28, 17), (144, 0, 8)), 26, 10),
-    # the back
-    (((120, 86, 12), (170, 74, 23), (172, 52, 23), (174, 26, 18), (176, -6, 9)), 28, 11),
-    (((176, 40, 10), (178, 20, 19), (180, 0, 18), (181, -18, 13), (182, -38, 4)), 26, 9),
-    (((150, 36, 10), (152, 16, 19), (153, -4, 17), (155, -20, 12), (158, -38, 4)), 24, 9),
-    (((-150, 36, 10), (-152, 16, 19), (-153, -4, 17), (-155, -20, 12), (-158, -38, 4)), 24, 9),
-    (((126, 30, 9), (127, 12, 16), (128, -4, 14), (130, -16, 9), (134, -30, 3)), 20, 8),
-    (((-126, 30, 9), (-127, 12, 16), (-128, -4, 14), (-130, -16, 9), (-134, -30, 3)), 20, 8),
-    # sideburns
-    (((62, 24, 5), (66, 10, 8), (68, 0, 7), (70, -10, 4), (71, -20, 0)), 11, 5),
-    (((-62, 24, 5), (-66, 10, 8), (-68, 0, 7), (-70, -10, 4), (-71, -20, 0)), 11, 5),
-    # two strands that break the outline on the crown
-    (((28, 62, 14), (6, 68, 31), (-22, 66, 36), (-44, 58, 33), (-60, 48, 25)), 17, 10),
-    (((140, 84, 14), (168, 80, 29), (176, 70, 33), (-178, 58, 29), (-174, 44, 22)), 16, 9),
-)  # fmt: skip
+_PART_FRONT, _PART_BACK = (34.0, 56.0), (165.0, 74.0)  # ends of the parting, azimuth and elevation in degrees
+_PART_HALF = 0.030  # half width of the parting, radians
+
+# Widths of the locks around the head, from the front end of the parting over the right side and the back to the left.
+_WIDTHS = (1.0, 1.3, 1.1, 1.35, 1.0, 0.75, 0.75, 1.0, 1.15, 1.0, 1.2, 1.05, 1.2, 1.0, 1.1, 0.95, 0.75, 0.75, 1.05, 0.9)
+_LENGTHS = (1.5, 2.5, 3.5, 3.0, 2.0, 1.0, 2.0, 1.0, 3.0, 4.5, 2.5, 5.5, 3.0, 4.5, 2.5, 1.0, 2.0, 1.0, 3.0, 2.0)
+_ACROSS = (0.0, 0.17, 0.42, 0.72)  # places of the strips' edges across a lock
+_RELIEF = (-1.0, 0.45, 0.62, 0.12)  # and how far each stands out
+_GROOVE_M = 0.0056
 
 
-def _curve(points: Floats, steps: int) -> Floats:
-    """A Catmull-Rom curve through the points, (steps, D)."""
-    p = np.vstack([2 * points[0] - points[1], points, 2 * points[-1] - points[-2]])
-    t = np.linspace(0, len(points) - 1 - 1e-9, steps)
-    i = t.astype(int)
-    u = (t - i)[:, None]
-    a, b, c, d = p[i], p[i + 1], p[i + 2], p[i + 3]
-    return 0.5 * (2 * b + (c - a) * u + (2 * a - 5 * b + 4 * c - d) * u**2 + (3 * b - a - 3 * c + d) * u**3)
+def _unit(azimuth: Floats, elevation: Floats) -> Floats:
+    return np.stack(
+        [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], axis=-1
+    )
 
 
-def cap() -> tuple[Floats, Ints]:
-    """The hair close to the skull; its border sinks into the skin along the hairline."""
-    around, deep = 38, 7
-    azimuth = np.linspace(-np.pi, np.pi, around, endpoint=False)
-    line = np.array(_HAIRLINE, float)
-    at = np.concatenate([-line[:0:-1, 0], line[:-1, 0], 360 - line[::-1, 0]])
-    of = np.concatenate([line[:0:-1, 1], line[:-1, 1], line[::-1, 1]])
+def _parting(angle: Floats) -> Floats:
+    """Unit directions around the slit of the parting, 0 at its front end, positive over the right side."""
+    front, back = (_unit(*np.deg2rad(np.array(end))) for end in (_PART_FRONT, _PART_BACK))
+    middle, reach = (front + back) / 2, (front - back) / 2
+    right = np.cross(reach, middle)
+    right /= np.linalg.norm(right)
+    right *= -np.sign(right[0])
+    slit = middle + np.cos(angle)[:, None] * reach + _PART_HALF * np.sin(angle)[:, None] * right
+    return slit / np.linalg.norm(slit, axis=1, keepdims=True)
+
+
+def hair() -> tuple[Floats, Ints, Floats]:
+    """Points, triangles and tints (V, 3) of the hair: darker in the grooves and underneath."""
     from scipy.interpolate import PchipInterpolator
 
-    low = np.deg2rad(PchipInterpolator(at, of)(np.rad2deg(azimuth)))
-    share = np.linspace(0.06, 1.0, deep) ** 0.9
-    height = 0.0015 + 0.0120 * np.sqrt(smoothstep(1.04, 0.72, share))
-    share, height = np.append(share, 0.985), np.append(height, -0.006)  # the border is turned in under itself
-    elevation = np.pi / 2 - (np.pi / 2 - low)[None, :] * share[:, None]
-    points = scalp(np.tile(azimuth, (deep + 1, 1)), elevation, np.repeat(height[:, None], around, 1), _CENTRE)
-    top = scalp(np.zeros(1), np.full(1, np.pi / 2), height[:1], _CENTRE)
-    flat, triangles = tube(points[::-1])
-    flat[-1] = top[0]
-    return flat, triangles
+    locks = len(_WIDTHS)
+    widths = np.array(_WIDTHS) / np.sum(_WIDTHS)
+    starts = np.concatenate([[0.0], np.cumsum(widths)[:-1]])
+    turn = (starts[:, None] + widths[:, None] * np.array(_ACROSS)).reshape(-1)  # 0..1 around the head
+    relief = np.tile(_RELIEF, locks)
+    along_tip = np.sin(np.pi * np.tile(np.array(_ACROSS) + 0.10, locks)) ** 0.8
+    longer = np.repeat(_LENGTHS, len(_ACROSS)) * along_tip
+    strips = len(turn)
+
+    start = _parting(2 * np.pi * turn)
+    azimuth = 8.0 - 360.0 * turn  # where each strip ends
+    azimuth = np.where(azimuth < -180, azimuth + 360, azimuth)
+    line = np.array(_HAIRLINE, float)
+    low = PchipInterpolator(line[:, 0], line[:, 1])(azimuth) - longer
+    end = _unit(np.deg2rad(azimuth), np.deg2rad(low))
+
+    # 1 over the forehead, 0 from the temples backwards; and 1 at the nape
+    fringe = np.exp(-(((azimuth + 14) / 42) ** 2))
+    nape = smoothstep(118, 150, np.abs(azimuth))
+
+    share = np.array([0.0, 0.035, 0.09, 0.17, 0.26, 0.36, 0.47, 0.58, 0.69, 0.79, 0.88, 0.95, 1.0])
+    u = share[:, None]
+    way = start * (1 - u[..., None]) + end * u[..., None]
+    # Combed: the strips leave the parting at right angles before they turn down.
+    away = start - _parting(2 * np.pi * turn + np.pi)
+    away[:, 1] = 0.0
+    way = way + 0.16 * (np.sin(np.pi * u) * (1 - u))[..., None] * away / np.linalg.norm(away, axis=1, keepdims=True)
+    # The fringe bows forward and up; at the back the hair runs in a slow whirl.
+    bow = np.sin(np.pi * u)
+    way[..., 1] += 0.16 * bow * fringe
+    way[..., 2] += 0.05 * bow * fringe
+    behind = smoothstep(60, 140, np.abs(azimuth))
+    whirl = np.stack([np.cos(np.deg2rad(azimuth)), 0 * azimuth, -np.sin(np.deg2rad(azimuth))], -1)
+    way = way + 0.20 * (bow * (1 - 0.55 * u) * behind)[..., None] * whirl
+    way = way / np.linalg.norm(way, axis=-1, keepdims=True)
+
+    top = 0.0255 + 0.0085 * fringe  # metres above the skin where the hair is fullest
+    tip = 0.0050 + 0.0075 * fringe + 0.0015 * nape
+    full = 0.52 + 0.26 * smoothstep(-0.02, 0.07, u) + 0.22 * smoothstep(0.04, 0.36, u)
+    height = top * full
+    fall = smoothstep(0.52, 1.02, u)
+    height = height * (1 - fall) + tip * fall + 0.004 * nape * np.sin(np.pi * u) ** 2
+    depth = _GROOVE_M * smoothstep(0.0, 0.16, u) * (1 - 0.35 * smoothstep(0.7, 1.0, u))
+    dome = smoothstep(0.80, 0.99, way[..., 1]) * smoothstep(0.0, 0.12, u)
+    height = height + 0.007 * dome + depth * relief
+
+    # the border turns in under itself and into the skin
+    under = 0.95 * end + 0.05 * start
+    inner = 0.86 * end + 0.14 * start
+    rows = [way, under[None], inner[None]]
+    heights = np.vstack([height, np.full((1, strips), 0.0008), np.full((1, strips), -0.006)])
+    directions = np.vstack([r / np.linalg.norm(r, axis=-1, keepdims=True) for r in rows])
+    points = scalp(
+        np.arctan2(directions[..., 0], directions[..., 2]),
+        np.arcsin(np.clip(directions[..., 1], -1, 1)),
+        heights,
+        _CENTRE,
+    )
+    count = len(points)
+    index = np.arange(count * strips).reshape(count, strips)
+    a, b = index[:-1], index[1:]
+    a2, b2 = np.roll(a, -1, 1), np.roll(b, -1, 1)
+    triangles = [np.stack([a, b, b2], -1).reshape(-1, 3), np.stack([a, b2, a2], -1).reshape(-1, 3)]
+    triangles += [_lid(index[0]), _lid(index[-1])[:, ::-1]]
+    flat = points.reshape(-1, 3)
+    faces = np.vstack(triangles)
+    corner = flat[faces]
+    if np.sum(corner[:, 0] * np.cross(corner[:, 1], corner[:, 2])) < 0:
+        faces = faces[:, ::-1]
+
+    tint = 1.0 + 0.16 * np.clip(relief, -1, 1) * smoothstep(0.0, 0.2, u)
+    tint = tint * (0.72 + 0.28 * smoothstep(0.0, 0.14, u)) * (1 + 0.10 * smoothstep(0.6, 1.0, u))
+    tint = np.vstack([tint, np.full((2, strips), 0.5)])
+    return flat, faces, np.repeat(np.clip(tint, 0, 1.3).reshape(-1, 1), 3, axis=1)
 
 
-def locks() -> list[tuple[Floats, Ints]]:
-    """One closed tapered body per lock."""
-    steps, around = 9, 6
-    u = np.linspace(0, 1, steps)
-    controls = np.array([c for c, _, _ in _LOCKS], float)
-    controls[..., 0] = np.rad2deg(np.unwrap(np.deg2rad(controls[..., 0]), axis=1))
-    polar = np.deg2rad(controls[..., :2])
-    direction = np.stack(
-        [
-            np.sin(polar[..., 0]) * np.cos(polar[..., 1]),
-            np.sin(polar[..., 1]),
-            np.cos(polar[..., 0]) * np.cos(polar[..., 1]),
-        ],
-        -1,
-    )
-    paths = np.array([_curve(np.hstack([d, c[:, 2:]]), steps) for d, c in zip(direction, controls, strict=True)])
-    d = paths[..., :3] / np.linalg.norm(paths[..., :3], axis=-1, keepdims=True)
-    centre = scalp(
-        np.arctan2(d[..., 0], d[..., 2]), np.arcsin(np.clip(d[..., 1], -1, 1)), paths[..., 3] * 1e-3, _CENTRE
-    )
-    a = np.arange(around) * 2 * np.pi / around
-    made: list[tuple[Floats, Ints]] = []
-    for path, out, (_, wide, thick) in zip(centre, d, _LOCKS, strict=True):
-        along = np.gradient(path, axis=0)
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        across = np.cross(along, out)
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        normal = np.cross(across, along)
-        profile = np.sqrt(smoothstep(-0.05, 0.30, u)) * np.clip(1 - u, 0, 1) ** 0.55
-        profile = profile / profile.max()
-        profile = np.maximum(profile, 0.04)
-        rings = (
-            path[:, None]
-            + across[:, None] * (1e-3 * wide * profile[:, None] * np.cos(a))[..., None]
-            + normal[:, None] * (1e-3 * thick * profile[:, None] * np.sin(a))[..., None]
-        )
-        bend = -1e-3 * 0.30 * wide * (np.cos(a) ** 2)[None, :] * profile[:, None]  # wraps round the skull
-        rings = rings + normal[:, None] * bend[..., None]
-        made.append(tube(rings[:, ::-1]))
-    return made
+def _lid(ring: Ints) -> Ints:
+    """Triangles across a ring, as between the two lips of a slit from its first to its middle vertex."""
+    low, high = 1, len(ring) - 1
+    made = [(ring[0], ring[1], ring[high])]
+    while high - low > 1:
+        if len(made) % 2:
+            made.append((ring[low], ring[low + 1], ring[high]))
+            low += 1
+        else:
+            made.append((ring[low], ring[high - 1], ring[high]))
+            high -= 1
+    return np.array(made)
