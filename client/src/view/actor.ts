@@ -109,11 +109,17 @@ export class Actor {
     for (let n = 1; n <= 24; n++) {
       this.evaluate(animation.start + (n / 24) * animation.duration, pose, world);
       this.jointPosition(this.rootJoint, root, world).sub(this.measuredRoot).setY(0);
-      for (let joint = 0; joint < this.rig.count; joint++) {
+      for (const joint of this.visibleJoints()) {
         this.jointPosition(joint, point, world).sub(root);
         if (Number.isFinite(point.x + point.y + point.z)) this.bounds.expandByPoint(point);
       }
     }
+  }
+
+  /** The joints that hold something to see; cameras and lamps of a file are joints too. */
+  private visibleJoints(): Iterable<number> {
+    if (!this.hasMesh) return this.rig.parents.keys();
+    return new Set(this.sources.flatMap(({ skin, data }) => (skin ? [...skin.palette] : [data.joint ?? 0])));
   }
 
   /** A point of the character's own space as it stands on the stage. */

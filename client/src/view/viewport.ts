@@ -111,14 +111,23 @@ export class Viewport {
     const scales = heights.map((height) => (unequal ? heights[0] / height : 1));
     const widths = this.actors.map((actor, n) => scales[n] * Math.max(0.35 * actor.height, actor.bounds.max.x - actor.bounds.min.x));
     const gaps = this.actors.map((actor, n) => 0.3 * actor.height * scales[n]);
-    let x = -0.5 * (widths.reduce((n, w) => n + w, 0) + gaps.slice(1).reduce((n, g) => n + g, 0));
-    this.actors.forEach((actor, n) => {
-      const { min, max } = actor.bounds, scale = scales[n];
-      if (n > 0) x += gaps[n];
-      if (alone) actor.place(0, 0, 1);
-      else actor.place(x + 0.5 * widths[n] - 0.5 * scale * (min.x + max.x), -0.5 * scale * (min.z + max.z), scale);
-      x += widths[n];
-    });
+    // a crowd stands in rows, the first in front
+    const count = this.actors.length;
+    const perRow = count <= 6 ? count : Math.ceil(Math.sqrt(2.5 * count));
+    const deep = Math.max(...this.actors.map((actor, n) => scales[n] * (actor.bounds.max.z - actor.bounds.min.z + 0.6 * actor.height)));
+    for (let first = 0, row = 0; first < count; first += perRow, row++) {
+      const members = this.actors.slice(first, first + perRow);
+      const wide = members.reduce((sum, _, n) => sum + widths[first + n] + (n > 0 ? gaps[first + n] : 0), 0);
+      let x = -0.5 * wide;
+      for (let n = first; n < first + members.length; n++) {
+        const actor = this.actors[n], scale = scales[n];
+        const { min, max } = actor.bounds;
+        if (n > first) x += gaps[n];
+        if (alone) actor.place(0, 0, 1);
+        else actor.place(x + 0.5 * widths[n] - 0.5 * scale * (min.x + max.x), -0.5 * scale * (min.z + max.z) - row * deep, scale);
+        x += widths[n];
+      }
+    }
     this.fitStage();
   }
 
