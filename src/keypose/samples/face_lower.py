@@ -64,7 +64,7 @@ def _corner(face: Face) -> Floats:
     """How much each skin vertex follows the left corner of the mouth, (V,)."""
     p, ring = face.head.points, face.head.mouth_ring
     w = bump(p, (MOUTH_HALF + 0.001, MOUTH_Y + 0.003, 0.090), (0.046, 0.040, 0.06))
-    along = np.clip(p[:, 0] / MOUTH_HALF, 0, 1) ** 2.1
+    along = np.clip(p[:, 0] / MOUTH_HALF, 0, 1) ** 1.8
     on_lips = (ring >= 0) & (ring <= 2)
     w = np.where(on_lips, along * 0.9 + 0.1 * w, np.where(ring == 3, 0.5 * w + 0.5 * along, w))
     bag = np.array([1.0, 0.7, 0.3, 0.0, 0.0, 0.0, 0.0])[np.clip(-1 - ring, 0, 6)] * along
@@ -74,7 +74,7 @@ def _corner(face: Face) -> Floats:
 
 def smile(face: Face) -> dict[str, Floats]:
     w = _corner(face)[:, None]
-    skin = w * np.array([0.0080, 0.0092, -0.0052]) + cheek_raise(face, 0.75)
+    skin = w * np.array([0.0082, 0.0082, -0.0052]) + cheek_raise(face, 0.75)
     return skin_only(face, skin + 0.35 * lid(face, 0.0, 1.0))
 
 
@@ -150,30 +150,49 @@ def shrug(face: Face, is_upper: bool) -> dict[str, Floats]:
     )
 
 
-def funnel(face: Face) -> dict[str, Floats]:
+def _rounded(face: Face, narrow: float) -> tuple[Floats, Floats]:
+    """What every rounded shape does: offsets that draw the corners in and take the smile out of the lips' line, and
+    how much each vertex opens with its lip, (V,), positive above."""
     lips, upper, lower = _lips(face)
     p, ring = face.head.points, face.head.mouth_ring
+    t = np.clip(np.abs(p[:, 0]) / MOUTH_HALF, 0, 1)
     skin = np.zeros_like(p)
-    skin[:, 0] = -p[:, 0] * 0.36 * lips
-    round_ = np.sqrt(np.clip(1 - (p[:, 0] / MOUTH_HALF) ** 2, 0, 1))
+    skin[:, 0] = -p[:, 0] * narrow * lips
+    skin[:, 1] = -0.0052 * t**2 * lips
+    # On the lips the opening is a circle; the skin around them follows softly.
+    on_lips = (ring >= 0) & (ring <= 2)
+    above = np.where(on_lips, np.sign(np.round(face.head.angle, 9)), upper - lower)
+    return skin, above * np.sqrt(1 - t**2)
+
+
+def _teeth_behind(face: Face, back: float, apart: float) -> dict[str, Floats]:
+    """No offsets but of the teeth: rounded lips cover them, so they stand back and keep out of the opening."""
+    out = face.zero()
+    out["upper_teeth"] += np.array([0.0, apart, -back])
+    out["lower_teeth"] += np.array([0.0, -apart, -back])
+    return out
+
+
+def funnel(face: Face) -> dict[str, Floats]:
+    lips, _, _ = _lips(face)
+    ring = face.head.mouth_ring
+    skin, opening = _rounded(face, 0.40)
     outward = np.where(ring >= 0, np.array([1.0, 1.0, 0.92, 0.62, 0.30])[np.clip(ring, 0, 4)], lips)
-    skin[:, 1] = outward * round_ * (0.0068 * upper - 0.0074 * lower)
+    skin[:, 1] += outward * opening * np.where(opening > 0, 0.0072, 0.0070)
     ahead = np.where(ring >= 0, np.array([0.75, 1.0, 0.95, 0.62, 0.30])[np.clip(ring, 0, 4)], lips * 0.8)
     skin[:, 2] = 0.0085 * ahead
-    return skin_only(face, skin)
+    return _teeth_behind(face, 0.0050, 0.0052) | {"skin": skin}
 
 
 def pucker(face: Face) -> dict[str, Floats]:
-    lips, upper, lower = _lips(face)
-    p, ring = face.head.points, face.head.mouth_ring
-    skin = np.zeros_like(p)
-    skin[:, 0] = -p[:, 0] * 0.50 * lips
+    lips, _, _ = _lips(face)
+    ring = face.head.mouth_ring
+    skin, opening = _rounded(face, 0.52)
     ahead = np.where(ring >= 0, np.array([0.72, 1.0, 0.95, 0.58, 0.28])[np.clip(ring, 0, 4)], lips * 0.7)
     skin[:, 2] = 0.0110 * ahead
     full = np.where(ring >= 0, np.array([0.0, 0.9, 1.0, 0.5, 0.15])[np.clip(ring, 0, 4)], 0.0)
-    centre = smoothstep(1.0, 0.2, np.abs(p[:, 0]) / MOUTH_HALF)
-    skin[:, 1] = full * centre * (0.0017 * upper - 0.0019 * lower) - 0.0022 * lips * (np.abs(p[:, 0]) / MOUTH_HALF) ** 2
-    return skin_only(face, skin)
+    skin[:, 1] += full * opening * 0.0019
+    return _teeth_behind(face, 0.0050, 0.0040) | {"skin": skin}
 
 
 def sideways(face: Face) -> dict[str, Floats]:

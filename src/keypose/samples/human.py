@@ -201,7 +201,7 @@ def jaw_share(points: Floats, head: HeadMesh | None = None) -> Floats:
         t = np.clip(np.abs(points[:, 0]) / human_head.MOUTH_HALF, 0, 1)
         corner = 0.30
         # The opening is round: the lower lip hangs from the corners like an arch, the upper one dips only beside them.
-        lower = corner + (1 - corner) * np.sqrt(1 - t**2) ** 0.9
+        lower = corner + (1 - corner) * np.sqrt(1 - t**2.7)
         lip = np.where(head.angle < 0, lower, corner * t**5)
         blend = np.where(ring >= 0, np.array([1.0, 1.0, 1.0, 0.85, 0.45])[np.clip(ring, 0, 4)], 1.0)
         share = np.where(on_lips, share * (1 - blend) + lip * blend, share)
@@ -230,6 +230,12 @@ def _skin_tint(head: HeadMesh) -> Floats:
     ring = head.mouth_ring
     lips = np.select([ring == 0, ring == 1, ring == 2, ring == -1], [1.0, 1.0, 0.45, 1.0], 0.0)[:, None]
     return tint * (1 - lips * np.array([0.14, 0.50, 0.42]))
+
+
+def _mouth_tint(head: HeadMesh) -> Floats:
+    """The mouth grows dark behind the lips."""
+    depth = np.clip(-1 - head.mouth_ring, 0, 6)
+    return np.repeat(np.array([1.0, 0.9, 0.55, 0.25, 0.12, 0.08, 0.08])[depth][:, None], 3, axis=1)
 
 
 def _joined(pieces: list[Piece]) -> Piece:
@@ -300,13 +306,12 @@ def _face_parts() -> list[Part]:
     weights = _head_weights(head, jaw)
     outside, bag = head.triangles[~head.inside], head.triangles[head.inside]
     lashes = _lashes(head)
-    follows = np.concatenate([p.follows for p in lashes if p.follows is not None])
     material = {"upper_teeth": "teeth", "lower_teeth": "teeth"}
     return [
         _part("head", "skin", points, outside, weights, normals, _skin_tint(head), 6, skin_moves, turns),
-        _part("mouth", "mouth", points, bag, weights, normals, None, 6, skin_moves, turns),
+        _part("mouth", "mouth", points, bag, weights, normals, _mouth_tint(head), 6, skin_moves, turns),
         *(_piece_part(n, material.get(n, n), p, moves[n]) for n, p in pieces.items()),
-        _piece_part("lashes", "lashes", lashes, moves["skin"][:, follows]),
+        _piece_part("lashes", "lashes", lashes, _lash_moves(head, lashes, moves["skin"])),
     ]
 
 
@@ -345,3 +350,18 @@ def _lashes(head: HeadMesh) -> list[Piece]:
         ids = ids[np.argsort(angle[ids])]
         made.append(human_features.lashes(head.points[ids] * (side, 1, 1), ids, side))
     return made
+
+
+def _lash_moves(head: HeadMesh, lashes: list[Piece], skin: Floats) -> Floats:
+    """The lashes' offsets (M, V, 3): they go with the lids, and on a closing eye their ends lie down along the line."""
+    made: list[Floats] = []
+    for piece, name in zip(lashes, ("eyeBlinkLeft", "eyeBlinkRight"), strict=True):
+        if piece.follows is None:
+            continue
+        rooted = skin[:, piece.follows].copy()
+        ring = np.arange(len(piece.points) - 2) // human_features.LASH_AROUND
+        u = np.append(ring / ring[-1], [0.0, 1.0])
+        ends = np.maximum(smoothstep(0.36, 0.04, u), 0.8 * smoothstep(0.70, 1.0, u))
+        rooted[MORPHS.index(name)] -= 0.85 * ends[:, None] * (piece.points - head.points[piece.follows])
+        made.append(rooted)
+    return np.concatenate(made, axis=1)

@@ -128,10 +128,10 @@ def catchlight(side: int) -> Piece:
 
 def teeth(upper: bool) -> Piece:
     """A row of teeth: one closed arch with a soft notch between teeth."""
-    steps = 21
+    steps = 17
     u = np.linspace(-1, 1, steps)
-    half, depth = (0.0245, 0.0135) if upper else (0.0230, 0.0130)
-    front = 0.0985 if upper else 0.0950
+    half, depth = (0.0228, 0.0190) if upper else (0.0180, 0.0130)
+    front = 0.0965 if upper else 0.0915
     angle = u * np.deg2rad(82)
     x = half * np.sin(angle) / np.sin(np.deg2rad(82))
     z = front - depth * (1 - np.cos(angle))
@@ -139,11 +139,11 @@ def teeth(upper: bool) -> Piece:
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     outward = np.stack([-tangent[:, 2], 0 * x, tangent[:, 0]], 1)
     notch = np.abs(np.cos(np.linspace(-4, 4, steps) * np.pi / 2))
-    full = 0.55 + 0.45 * np.sqrt(1 - notch**4)
+    full = 0.70 + 0.30 * np.sqrt(1 - notch**4)
     root = MOUTH_Y + (0.0120 if upper else -0.0135)
-    edge = MOUTH_Y + (-0.0042 if upper else -0.0034)
-    edge = edge + (0.0011 if upper else -0.0009) * (1 - full) / 0.45 + (0.0058 if upper else 0.0020) * u**2
-    profile = ((0.0, 0.0), (0.0024, 0.3), (0.0024, 0.75), (0.0008, 1.0), (-0.0014, 0.97), (-0.0026, 0.0))
+    edge = MOUTH_Y + (-0.0026 if upper else -0.0056)
+    edge = edge + (0.0007 if upper else -0.0006) * (1 - full) / 0.30 + (0.0052 if upper else -0.0016) * u**2
+    profile = ((0.0, 0.0), (0.0024, 0.3), (0.0022, 0.80), (0.0004, 1.0), (-0.0026, 0.3))
     rings = np.empty((steps, len(profile), 3))
     for k, (out, down) in enumerate(profile):
         push = out * (0.80 + 0.20 * full)
@@ -152,12 +152,16 @@ def teeth(upper: bool) -> Piece:
         rings = rings[:, ::-1]
     points, triangles = tube(rings)
     gum = np.array((0.62, 0.20, 0.19))
-    enamel = np.array((0.86, 0.83, 0.76))
+    enamel = np.array((0.83, 0.80, 0.74))
     down = np.array([p[1] for p in profile])
     down = np.tile(down if upper else down[::-1], steps)
     down = np.concatenate([down, [0.3, 0.3]])
     mix = smoothstep(0.05, 0.25, down)[:, None]
-    return Piece(points, triangles, {"Head" if upper else "Jaw": 1.0}, gum * (1 - mix) + enamel * mix)
+    # They stand in the lips' shadow: darker towards the gum and the corners.
+    side = np.append(np.repeat(np.abs(u), len(profile)), [1.0, 1.0])
+    shade = (1 - 0.62 * smoothstep(0.25, 1.0, side)) * (0.62 + 0.38 * smoothstep(0.1, 1.0, down))
+    tint = (gum * (1 - mix) + enamel * mix) * shade[:, None]
+    return Piece(points, triangles, {"Head" if upper else "Jaw": 1.0}, tint)
 
 
 def tongue() -> Piece:
@@ -184,7 +188,7 @@ def eyebrow(side: int) -> Piece:
     u = np.linspace(0, 1, 10)
     x = 0.0165 + 0.0485 * u
     y = 1.5755 + 0.0125 * np.sin(np.pi * (0.12 + 0.72 * u)) - 0.0035 * u**2
-    half = 0.0060 * np.clip(1 - u, 0, 1) ** 0.45 * smoothstep(-0.10, 0.12, u) + 0.0004
+    half = 0.0060 * np.clip(1 - u, 0, 1) ** 0.45 * np.sqrt(np.clip((u + 0.012) / 0.16, 0, 1)) + 0.0004
     base = on_face(x, y)
     normal = skin_normal(base)
     along = np.gradient(base, axis=0)

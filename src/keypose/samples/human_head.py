@@ -30,10 +30,10 @@ EYE_OFFSETS = (0.0, 0.0026, 0.0060, 0.0100)
 # of each mouth ring: half width, upper and lower height, forward shift of the upper and lower lip
 MOUTH_RINGS = (
     (0.0265, 0.0000, 0.0000, -0.0012, -0.0012),
-    (0.0268, 0.0030, 0.0036, 0.0026, 0.0028),
-    (0.0282, 0.0058, 0.0078, 0.0022, 0.0022),
-    (0.0318, 0.0098, 0.0122, 0.0000, -0.0006),
-    (0.0375, 0.0152, 0.0180, 0.0000, 0.0000),
+    (0.0270, 0.0035, 0.0037, 0.0030, 0.0030),
+    (0.0286, 0.0066, 0.0079, 0.0024, 0.0022),
+    (0.0324, 0.0110, 0.0124, 0.0002, -0.0006),
+    (0.0385, 0.0165, 0.0182, 0.0000, 0.0000),
 )
 
 
@@ -106,7 +106,7 @@ def eye_outline(angle: Floats, offset: float) -> tuple[Floats, Floats]:
 def mouth_line(x: Floats) -> Floats:
     """Height of the closed mouth at x: corners lift in a slight smile."""
     t = np.abs(x) / MOUTH_HALF
-    return MOUTH_Y + 0.0044 * t**2.0 - 0.0007 * np.exp(-((t / 0.34) ** 2))
+    return MOUTH_Y + 0.0044 * t**2.0 - 0.0003 * np.exp(-((t / 0.40) ** 2))
 
 
 def mouth_outline(ring: int, angle: Floats) -> tuple[Floats, Floats, Floats]:
