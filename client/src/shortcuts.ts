@@ -82,7 +82,12 @@ export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
   const target = event.target as HTMLElement;
   const typing = target instanceof HTMLInputElement && target.type !== "range";
   if (typing || target instanceof HTMLSelectElement || event.altKey) {
-    if (event.key === "Escape") target.blur();
+    if (event.key === "Escape") {
+      if (target instanceof HTMLInputElement && target.type === "search" && target.value) {
+        target.value = "";
+        target.dispatchEvent(new Event("input", { bubbles: true })); // a browser that clears it says nothing
+      } else target.blur();
+    }
     return;
   }
   if (studio.help) {

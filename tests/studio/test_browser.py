@@ -173,8 +173,12 @@ def test_the_keyboard_goes_where_a_user_expects(studio: StudioPage) -> None:
     studio.page.get_by_role("searchbox", name="Find a joint").fill("")
     studio.page.keyboard.type("joint2 b.")
     assert studio.state("time") == 0, "typing is typing"
+    assert studio.page.get_by_role("treeitem").count() == 0
     studio.page.keyboard.press("Escape")
-    studio.page.get_by_role("searchbox", name="Find a joint").fill("")
+    assert studio.page.get_by_role("treeitem").count() == 4, "Escape empties the search"
+    studio.page.keyboard.press("Escape")
+    studio.page.keyboard.press(".")
+    assert studio.state("time") > 0, "and once more gives the keyboard back"
 
 
 def test_the_read_out_takes_a_frame_number_and_shows_timecode(studio: StudioPage) -> None:
