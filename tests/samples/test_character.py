@@ -20,7 +20,7 @@ from tests.samples.geometry import components, directed_edges, face_normals, ope
 
 PARTS = [part.name for part in human().parts]
 CLOSED = (
-    "hands", "zip", "star", "laces", "brows", "eyes", "catchlights", "upper_teeth", "lower_teeth", "tongue", "lashes",
+    "hands", "zip", "star", "pockets", "seams", "laces", "brows", "eyes", "catchlights", "upper_teeth", "lower_teeth", "tongue", "lashes",
     "ears", "hair",
 )  # fmt: skip
 
@@ -132,7 +132,7 @@ def test_generation_is_deterministic() -> None:
 
 
 def test_counts_and_height(character: Character) -> None:
-    assert 10_000 <= character.triangle_count <= 24_000
+    assert 10_000 <= character.triangle_count < 20_000
     points = np.vstack([p.mesh.positions for p in character.parts])
     assert abs(points[:, 1].min()) < 2e-3, "the soles stand on y = 0"
     assert 1.68 < points[:, 1].max() < 1.76
@@ -180,7 +180,7 @@ def test_clothes_face_outward_and_end_inside(character: Character, group: int) -
     assert count == {1: 4, 2: 2, 3: 3, 4: 0}[group], "hem, cuffs and neckline of the jacket; shirt; waist and legs"
 
 
-@pytest.mark.parametrize("name", [n for n in PARTS if n not in ("hair", "star", "catchlights", "zip")])
+@pytest.mark.parametrize("name", [n for n in PARTS if n not in ("hair", "star", "catchlights", "zip", "seams")])
 def test_mirror_symmetry(character: Character, name: str) -> None:
     mesh = _part(character, name).mesh
     distance, _ = cKDTree(mesh.positions).query(mesh.positions * np.float32([-1, 1, 1]))

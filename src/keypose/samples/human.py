@@ -35,6 +35,8 @@ MATERIALS = {
     "jacket": Material("jacket", _srgb("1F6F7A"), roughness=0.78),
     "sleeves": Material("sleeves", _srgb("F1E4CB"), roughness=0.72),
     "ribbing": Material("ribbing", _srgb("E9A63A"), roughness=0.85),
+    "shirt": Material("shirt", _srgb("E2603F"), roughness=0.85),
+    "neckband": Material("neckband", _srgb("C9502F"), roughness=0.88),
     "trousers": Material("trousers", _srgb("2F3B5C"), roughness=0.88),
     "turn_ups": Material("turn_ups", _srgb("6C80AC"), roughness=0.88),
     "sneakers": Material("sneakers", _srgb("E2603F"), roughness=0.6),
@@ -51,7 +53,8 @@ MATERIALS = {
 _GROUPS = {  # group of a cage -> part, material
     "body": ("jacket", "jacket"),
     "stripe": ("stripes", "sleeves"),
-    "shirt": ("shirt", "rubber"),
+    "shirt": ("shirt", "shirt"),
+    "neckband": ("neckband", "neckband"),
     "sleeve": ("sleeves", "sleeves"),
     "rib": ("ribbing", "ribbing"),
     "collar": ("collar", "ribbing"),
@@ -322,15 +325,21 @@ def human() -> Character:
     parts: list[Part] = []
     cages = (human_clothes.jacket, human_clothes.shirt, human_clothes.trousers, human_clothes.shoes, human_hands.hands)
     surfaces = [subdivide(cage(), names) for cage in cages]
+    surfaces[3].points[:, 1] = np.maximum(surfaces[3].points[:, 1], 0.0)  # soles are flat
     for number, surface in enumerate(surfaces, start=1):
         parts += _surface_parts(surface, number)
-    jacket, shoes = surfaces[0], surfaces[3]
-    left = human_details.laces(shoes)
+    jacket, trousers, shoes = surfaces[0], surfaces[2], surfaces[3]
     swap = joint_mirror(names)
-    right = [(p * (-1, 1, 1), t[:, ::-1], w[:, swap]) for p, t, w in left]
+
+    def pair(left: list[human_details.Detail]) -> list[human_details.Detail]:
+        return [*left, *((p * (-1, 1, 1), t[:, ::-1], w[:, swap]) for p, t, w in left)]
+
     parts.append(_detail_part("zip", "ribbing", human_details.zip_fastener(jacket)))
     parts.append(_detail_part("star", "sleeves", [human_details.star(jacket)]))
-    parts.append(_detail_part("laces", "rubber", [*left, *right]))
+    parts.append(_detail_part("pockets", "ribbing", pair(human_details.jacket_pockets(jacket))))
+    seams = [*pair(human_details.seams(trousers)), *human_details.fly(trousers)]
+    parts.append(_detail_part("seams", "turn_ups", seams))
+    parts.append(_detail_part("laces", "rubber", pair(human_details.laces(shoes))))
     parts += _face_parts()
     ear_points, ear_triangles, deep = human_features.ears()
     tint = 1 - deep[:, None] * np.array([0.03, 0.16, 0.15])

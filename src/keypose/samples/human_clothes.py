@@ -50,9 +50,8 @@ _TRUNK = (
     (0.960, 0.157, 0.111, 0.117),
     (0.980, 0.157, 0.112, 0.116),
     (0.991, 0.168, 0.123, 0.124),
-    (1.025, 0.171, 0.127, 0.124),
-    (1.085, 0.161, 0.120, 0.114),
-    (1.145, 0.158, 0.121, 0.113),
+    (1.028, 0.171, 0.127, 0.124),
+    (1.110, 0.158, 0.120, 0.112),
     (1.198, 0.163, 0.126, 0.117),
 )
 _RIB_ROWS, _STRIPE_ROW = 4, 2
@@ -71,8 +70,8 @@ _ARMHOLE = np.array(
 )  # fmt: skip
 _SHOULDERS = np.array(
     [
-        (0, 1.333, 0.093), (0.053, 1.336, 0.090), (0.097, 1.349, 0.073), (0.1500, 1.367, 0.019), (0.1505, 1.377, -0.014),
-        (0.1500, 1.369, -0.047), (0.100, 1.363, -0.090), (0.055, 1.360, -0.106), (0, 1.358, -0.108),
+        (0, 1.333, 0.093), (0.053, 1.336, 0.090), (0.097, 1.349, 0.073), (0.1480, 1.361, 0.019), (0.1480, 1.3715, -0.014),
+        (0.1480, 1.363, -0.047), (0.100, 1.363, -0.090), (0.055, 1.360, -0.106), (0, 1.358, -0.108),
     ]
 )  # fmt: skip
 _NECKLINE = np.array(
@@ -81,6 +80,8 @@ _NECKLINE = np.array(
         (0.067, 1.402, -0.050), (0.052, 1.404, -0.073), (0.029, 1.405, -0.086), (0, 1.405, -0.090),
     ]
 )  # fmt: skip
+
+_TRAPEZIUS = np.outer([-3, -3, -2, 2.5, 4, 2, -1, -3, -3], [0, 1e-3, 0])  # between neck and shoulder
 
 
 def _between(before: Floats, a: Floats, b: Floats, after: Floats) -> Floats:
@@ -117,23 +118,26 @@ def arm_point(s: float, angle: float, radius: float) -> Floats:
     return centre + radius * (np.cos(angle) * -palm + np.sin(angle) * front)
 
 
-# distance along the arm on top and below, radius across the arm and towards the front, group of the quads that follow
+# distance along the arm on top and below; radius on top, below, and towards the front; group of the quads that follow
 _SLEEVE = (
-    (0.012, 0.090, 0.0550, 0.0605, "sleeve"),
-    (0.070, 0.122, 0.0565, 0.0585, "sleeve"),
-    (0.136, 0.152, 0.0540, 0.0555, "sleeve"),
-    (0.190, 0.196, 0.0515, 0.0530, "sleeve"),
-    (0.234, 0.230, 0.0510, 0.0525, "sleeve"),
-    (0.262, 0.262, 0.0510, 0.0525, "sleeve"),
-    (0.290, 0.294, 0.0505, 0.0515, "sleeve"),
-    (0.365, 0.365, 0.0482, 0.0490, "sleeve"),
-    (0.447, 0.447, 0.0435, 0.0440, "rib"),
-    (0.455, 0.455, 0.0370, 0.0390, "rib"),
-    (0.467, 0.467, 0.0362, 0.0386, "stripe"),
-    (0.482, 0.482, 0.0362, 0.0386, "rib"),
-    (0.497, 0.497, 0.0352, 0.0376, "rib"),
-    (0.470, 0.470, 0.0285, 0.0305, ""),
+    (-0.001, 0.086, 0.0450, 0.0590, 0.0650, "body"),
+    (0.025, 0.098, 0.0508, 0.0565, 0.0600, "sleeve"),
+    (0.064, 0.124, 0.0552, 0.0560, 0.0585, "sleeve"),
+    (0.122, 0.154, 0.0548, 0.0540, 0.0562, "sleeve"),
+    (0.200, 0.204, 0.0518, 0.0515, 0.0532, "sleeve"),
+    (0.238, 0.234, 0.0512, 0.0508, 0.0525, "sleeve"),
+    (0.263, 0.263, 0.0510, 0.0510, 0.0525, "sleeve"),
+    (0.294, 0.298, 0.0505, 0.0505, 0.0515, "sleeve"),
+    (0.367, 0.367, 0.0482, 0.0482, 0.0490, "sleeve"),
+    (0.447, 0.447, 0.0435, 0.0435, 0.0440, "rib"),
+    (0.455, 0.455, 0.0370, 0.0370, 0.0390, "rib"),
+    (0.467, 0.467, 0.0362, 0.0362, 0.0386, "stripe"),
+    (0.482, 0.482, 0.0362, 0.0362, 0.0386, "rib"),
+    (0.497, 0.497, 0.0352, 0.0352, 0.0376, "rib"),
+    (0.470, 0.470, 0.0285, 0.0285, 0.0305, ""),
 )  # fmt: skip
+# How much of the first loops still follows the trunk: on top, where the deltoid stays round, and in the armpit.
+_TRUNK_SHARE = ((0.55, 0.46), (0.20, 0.34), (0.04, 0.12))
 
 
 def arm_weights(s: float) -> dict[str, float]:
@@ -153,17 +157,17 @@ def _sleeve(cage: Cage, hole: Sequence[int]) -> None:
     previous = list(hole)
     angles = np.arange(12) * np.pi / 6
     group = "body"  # the seam lies on the first regular loop, where it runs smoothly
-    for number, (top, below, across, front, following) in enumerate(_SLEEVE):
+    for number, (top, below, above, under, front, following) in enumerate(_SLEEVE):
         lean = (1 - np.cos(angles)) / 2
         along = top + (below - top) * lean
-        points = [
-            arm_point(s, a, 1.0 / np.sqrt((np.cos(a) / across) ** 2 + (np.sin(a) / front) ** 2))
-            for s, a in zip(along, angles, strict=True)
-        ]
+        across = above + (under - above) * lean
+        radius = 1.0 / np.sqrt((np.cos(angles) / across) ** 2 + (np.sin(angles) / front) ** 2)
+        points = [arm_point(float(s), float(a), float(r)) for s, a, r in zip(along, angles, radius, strict=True)]
         weights = [arm_weights(float(s)) for s in along]
-        if number < 2:  # the cap of the shoulder and the armpit still follow the trunk a little
+        if number < len(_TRUNK_SHARE):
             trunk = {"LeftShoulder": 0.62, "Spine2": 0.38}
-            shares = (0.42 - 0.02 * lean, 0.12 + 0 * lean)[number]
+            on_top, in_armpit = _TRUNK_SHARE[number]
+            shares = on_top + (in_armpit - on_top) * lean
             weights = [_mix(w, trunk, float(u)) for w, u in zip(weights, shares, strict=True)]
         ring = cage.ring(points, weights)
         cage.bridge(previous, ring, group)
@@ -193,7 +197,7 @@ def jacket() -> Cage:
         _ARMHOLE,
         _between(_CHEST, _ARMHOLE, _SHOULDERS, _NECKLINE),
         _SHOULDERS,
-        (_SHOULDERS + _NECKLINE) / 2 + np.array([0, -0.003, 0]),
+        (_SHOULDERS + _NECKLINE) / 2 + _TRAPEZIUS,
         _NECKLINE,
     ]
     yoke: list[list[int]] = []
@@ -237,23 +241,27 @@ def _collar(cage: Cage, neckline: Sequence[int]) -> None:
 
 
 def shirt() -> Cage:
-    """What shows of the shirt inside the collar: group "shirt"."""
+    """What shows of the T-shirt inside the collar: groups "shirt" and, as its ribbed neckline, "neckband"."""
     cage = Cage()
     previous: list[int] = []
-    rows = [
-        (_NECKLINE - (0, 0, -0.016)) * (share, 1, share) + (0, lift, -0.016)
-        for share, lift in ((0.86, -0.012), (0.83, 0.001))
-    ]
-    for radius, lift in ((0.0530, 0.009), (0.0500, 0.0085), (0.0450, -0.008)):
-        ring = np.stack([radius * np.sin(_HALF), 0 * _HALF, radius * 1.03 * np.cos(_HALF) - 0.033], 1)
+    rows = [(_NECKLINE - (0, 0, -0.016)) * (0.87, 1, 0.87) + (0, -0.008, -0.016)]
+    around = np.cos(_HALF)
+    for radius, behind, lift in (
+        (0.0600, 0.046, 0.0035),
+        (0.0560, 0.047, 0.015),
+        (0.0515, 0.046, 0.0145),
+        (0.045, 0.040, 0.006),
+    ):
+        deep = np.where(around > 0, radius * 1.03, behind)
+        ring = np.stack([radius * np.sin(_HALF), 0 * _HALF, deep * around - 0.033], 1)
         ring[[0, 8], 0] = 0.0
-        ring[:, 1] = np.interp(np.cos(_HALF), [-1, 1], [1.404, 1.366]) + lift
+        ring[:, 1] = np.interp(around, [-1, 1], [1.399, 1.363]) + lift
         rows.append(ring)
     for number, points in enumerate(rows):
-        neck = (0.2, 0.25, 0.6, 0.65, 0.6)[number]
+        neck = (0.2, 0.35, 0.6, 0.65, 0.6)[number]
         ids = cage.ring(points, {"Spine2": 1 - neck, "Neck": neck})
         if previous:
-            cage.bridge(previous, ids, "shirt", closed=False)
+            cage.bridge(previous, ids, "shirt" if number == 1 else "neckband", closed=False)
         previous = ids
     return cage.mirrored()
 
@@ -276,20 +284,18 @@ _CROTCH = ((0, 0.797, -0.052), (0, 0.789, -0.012), (0, 0.796, 0.028))  # from th
 # height, radius across, radius in depth, shift in depth
 _LEG_ROWS = (
     (0.765, 0.0800, 0.0900, -0.006),
-    (0.705, 0.0780, 0.0864, -0.002),
-    (0.612, 0.0713, 0.0772, 0.003),
+    (0.655, 0.0746, 0.0818, 0.001),
     (0.524, 0.0641, 0.0674, 0.003),
     (0.486, 0.0626, 0.0659, 0.004),
     (0.448, 0.0616, 0.0649, 0.001),
     (0.370, 0.0597, 0.0644, -0.006),
     (0.260, 0.0553, 0.0598, -0.006),
-    (0.152, 0.0508, 0.0542, 0.000),
-    (0.150, 0.0560, 0.0595, 0.000),
-    (0.142, 0.0573, 0.0608, 0.000),
-    (0.113, 0.0564, 0.0599, 0.002),
+    (0.153, 0.0512, 0.0546, 0.000),
+    (0.149, 0.0568, 0.0603, 0.000),
+    (0.114, 0.0566, 0.0601, 0.002),
     (0.130, 0.0473, 0.0508, 0.002),
 )
-_TURN_UP = 8  # the row where the turned-up hem begins
+_TURN_UP = 7  # the row where the turned-up hem begins
 
 
 def _leg_weights(y: float) -> dict[str, float]:
@@ -353,15 +359,13 @@ def trousers() -> Cage:
 
 # height at heel and toe, heel and toe ends along the foot, half width, boxiness, group of the quads below this row
 _SHOE = (
-    (0.000, 0.004, -0.088, 0.197, 0.0455, 0.80, ""),
-    (0.004, 0.010, -0.094, 0.204, 0.0490, 0.80, "sole"),
-    (0.028, 0.026, -0.094, 0.204, 0.0495, 0.80, "sole"),
-    (0.031, 0.029, -0.087, 0.196, 0.0450, 0.82, "sole"),
-    (0.056, 0.054, -0.085, 0.181, 0.0455, 0.86, "upper"),
-    (0.085, 0.078, -0.079, 0.124, 0.0405, 0.96, "upper"),
+    (0.000, 0.004, -0.089, 0.199, 0.0470, 0.82, ""),
+    (0.026, 0.025, -0.093, 0.203, 0.0495, 0.82, "sole"),
+    (0.030, 0.029, -0.087, 0.197, 0.0455, 0.84, "sole"),
+    (0.056, 0.055, -0.085, 0.185, 0.0460, 0.86, "upper"),
+    (0.085, 0.080, -0.079, 0.132, 0.0410, 0.96, "upper"),
     (0.116, 0.118, -0.074, 0.056, 0.0395, 1.00, "upper"),
-    (0.130, 0.132, -0.070, 0.046, 0.0375, 1.00, "trim"),
-    (0.100, 0.100, -0.058, 0.032, 0.0280, 1.00, "trim"),
+    (0.129, 0.131, -0.068, 0.044, 0.0365, 1.00, "trim"),
 )
 
 

@@ -18,7 +18,7 @@ from keypose.samples.subdivision import Cage, Weights, subdivide
 SCLERA = (0.80, 0.79, 0.77)
 PUPIL = (0.012, 0.010, 0.014)
 IRIS_DARK, IRIS_LIGHT = (0.030, 0.135, 0.150), (0.19, 0.50, 0.44)
-LASH_AROUND = 5
+LASH_AROUND = 4
 LIMBUS = (0.010, 0.045, 0.055)
 
 
@@ -109,7 +109,7 @@ def catchlight(side: int) -> Piece:
         right = np.cross([0.0, 1.0, 0.0], forward)
         right /= np.linalg.norm(right)
         up = np.cross(forward, right)
-        a = np.arange(8) * np.pi / 4
+        a = np.arange(7) * np.pi / 3.5
         circle = np.cos(a)[:, None] * right + np.sin(a)[:, None] * up
         rings = [
             forward * EYE_RADIUS * 0.985 + circle * radius,
@@ -166,7 +166,7 @@ def teeth(upper: bool) -> Piece:
 
 def tongue() -> Piece:
     """A soft tongue resting behind the lower teeth; its tip is at the front."""
-    u = np.linspace(0.0, 1.0, 10)
+    u = np.linspace(0.0, 1.0, 8)
     z = 0.036 + 0.051 * u
     half = (
         0.0145 * smoothstep(-0.35, 0.3, u) * np.sqrt(np.clip(1 - np.clip((u - 0.55) / 0.47, 0, 1) ** 2, 0, 1)) + 0.0004

@@ -75,7 +75,7 @@ def hair() -> tuple[Floats, Ints, Floats]:
     fringe = np.exp(-(((azimuth + 14) / 42) ** 2))
     nape = smoothstep(118, 150, np.abs(azimuth))
 
-    share = np.array([0.0, 0.035, 0.09, 0.17, 0.26, 0.36, 0.47, 0.58, 0.69, 0.79, 0.88, 0.95, 1.0])
+    share = np.array([0.0, 0.04, 0.10, 0.19, 0.29, 0.40, 0.51, 0.62, 0.73, 0.84, 0.93, 1.0])
     u = share[:, None]
     way = start * (1 - u[..., None]) + end * u[..., None]
     # Combed: the strips leave the parting at right angles before they turn down.

@@ -18,9 +18,7 @@ from keypose.samples.subdivision import Cage
 
 # Palm sections: five places across (thumb side first) of the back and of the palm, (towards the thumb, out of the palm).
 _PALM = (  # along, weights, back, palm
-    (-0.055, ((0.0230, -0.010), (0.0140, -0.0185), (0.0, -0.0215), (-0.0140, -0.0185), (-0.0230, -0.010)),
-             ((0.0230, 0.010), (0.0140, 0.0185), (0.0, 0.0215), (-0.0140, 0.0185), (-0.0230, 0.010))),
-    (-0.012, ((0.0235, -0.009), (0.0140, -0.0170), (0.0, -0.0195), (-0.0140, -0.0170), (-0.0235, -0.009)),
+    (-0.030, ((0.0235, -0.009), (0.0140, -0.0170), (0.0, -0.0195), (-0.0140, -0.0170), (-0.0235, -0.009)),
              ((0.0235, 0.010), (0.0140, 0.0175), (0.0, 0.0195), (-0.0140, 0.0170), (-0.0235, 0.009))),
     (0.014, ((0.0295, -0.008), (0.0170, -0.0165), (0.000, -0.0185), (-0.0170, -0.0160), (-0.0295, -0.007)),
             ((0.0310, 0.013), (0.0190, 0.0220), (0.001, 0.0190), (-0.0170, 0.0200), (-0.0300, 0.013))),
@@ -101,14 +99,14 @@ def hands() -> Cage:
     for number, (along, back, palm) in enumerate(_PALM):
         ring = [(along, *q) for q in back] + [(along, *q) for q in reversed(palm)]
         points = np.array(ring)
-        points *= (1.0, 1.02, HAND_SCALE, HAND_SCALE, HAND_SCALE)[number]
+        points *= (1.02, HAND_SCALE, HAND_SCALE, HAND_SCALE)[number]
         weights: list[Mapping[str, float]] = [hand] * 10
-        if number < 2:
+        if number < 1:
             weights = [arm_weights(0.5 + along)] * 10
-        if number == 3:  # the ball of the thumb follows it, the heel of the hand does not
+        if number == 2:  # the ball of the thumb follows it, the heel of the hand does not
             weights = [{"LeftHand": 0.85, "LeftHandThumb1": 0.15} if k in (0, 9) else hand for k in range(10)]
             weights[8] = {"LeftHand": 0.7, "LeftHandThumb1": 0.3}
-        if number == 4:
+        if number == 3:
             points[:5, 0] += _FRONT_OF_WEB
             points[5:, 0] += _FRONT_OF_WEB[::-1] + 0.006  # the palm reaches further than the back
             mixed: list[Mapping[str, float]] = []
@@ -118,7 +116,7 @@ def hands() -> Cage:
             weights = [*mixed, *reversed(mixed)]
         sections.append(cage.ring([_model(q) for q in points], weights))
     cage.face(sections[0], "skin")
-    thumb_at = (2, 9)  # the quad of the thumb's side between sections 2 and 3
+    thumb_at = (1, 9)  # the quad of the thumb's side between sections 1 and 2
     for number, (near, far) in enumerate(pairwise(sections)):
         for k in range(10):
             if (number, k) == thumb_at:
@@ -130,6 +128,6 @@ def hands() -> Cage:
     for f, finger in enumerate(FINGERS[1:]):
         base = [last[f], last[f + 1], last[8 - f], last[9 - f]]
         _grow(cage, base, finger, across)
-    near, far = sections[2], sections[3]
+    near, far = sections[1], sections[2]
     _grow(cage, [far[0], far[9], near[9], near[0]], "Thumb", np.array([0.35, -0.1, -0.80]))
     return cage.mirrored()

@@ -203,7 +203,8 @@ def _grid(loops: Floats) -> Floats:
         if inside[i]:
             continue
         nose = points[i, 2] > 0.098 and points[i, 0] < 0.022 and points[i, 1] > 1.488
-        gap = 0.024 if nose else 0.062 if direction[2] > 0.1 else 0.095
+        under_hair = points[i, 1] > 1.60 or (points[i, 2] < -0.05 and points[i, 1] > 1.54)
+        gap = 0.024 if nose else 0.20 if under_hair else 0.062 if direction[2] > 0.1 else 0.095
         on_middle = points[i, 0] < 1e-9
         if not on_middle and direction[0] < 0.5 * gap:
             continue
