@@ -3,6 +3,7 @@
 run("kernels")   every kernel against the same work in plain NumPy, and what the machine can do at best
 run("bvh")       reading and writing BVH files against pybvh and PyMotion
 run("fk")        forward kinematics of a clip against PyMotion
+run("runtime")   compiled clips: their size, their error and the time to decode one pose
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from keypose.errors import UnknownName
 
 __all__ = ["SUITES", "Result", "run"]
 
-SUITES = ("kernels", "bvh", "fk")
+SUITES = ("kernels", "bvh", "fk", "runtime")
 
 
 def run(name: str | None = None, json_path: str | Path | None = None, rounds: int = 15) -> list[Result]:
@@ -40,4 +41,8 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
             peers.add_bvh(suite)
         if name != "bvh":
             peers.add_fk(suite)
+    if name in (None, "runtime"):
+        from keypose.bench import runtime
+
+        runtime.add(suite)
     return suite.run(rounds, None if json_path is None else Path(json_path))

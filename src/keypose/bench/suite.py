@@ -23,7 +23,7 @@ _ROUND_S = 3e-3  # a case is repeated until one round takes about this long
 _REFERENCE_ROUNDS = 3
 
 # seconds per item -> what is shown
-_PER_ITEM = {"ns/character": 1e9, "ns/vertex": 1e9, "ms": 1e3}
+_PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "ns/vertex": 1e9, "ms": 1e3}
 _PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0}
 
 

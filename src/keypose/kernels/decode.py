@@ -9,14 +9,17 @@ each with a bit width of its own, which a *profile* lists. Sampling is linear in
 or of a mixture of two, are one row of 16 numbers, and a track costs one unpacking, one product and one sum, with the
 coefficients in the lanes. Rotations are finished with joints in the lanes.
 
-Layout of the arrays (all made by `keypose.play.store`)
-    layout   int64    HEADER numbers, then the target of each track, per slot 8 times its first segment plus its
-                      refinement, then the byte offset of each segment
+Layout of the arrays (all made by `keypose.play.store`; tracks are sorted by row, then by joint)
+    layout   int64    HEADER numbers; per row and block of 16 joints which have a track (bits) and the first of these
+                      tracks; the same per block of morphs; per slot 8 times its first segment plus its refinement; the
+                      byte offset of each segment
     tables   float32  cosine rows [16][16]; steps of the tracks; scales of the segments; the constant pose; per joint the
                       rotations before and after the coded one, and 1 where its numbers are x, y, z / (1 + w)
     book     uint8    per profile 128 bytes: of each coefficient the four bytes that hold it (4 x 16), how far to shift left
                       (16), then right (16), which are stored (one bit each), how many bytes they take together
-    codes    uint8    MARGIN bytes, then per segment one profile per track and the packed coefficients, then MARGIN bytes
+    codes    uint8    MARGIN bytes, then per segment one profile per track, filled up to a multiple of 16 with an empty
+                      one, and the packed coefficients, then MARGIN bytes
+    sums     float32  room for the tracks, filled up to a multiple of 16, and 16 more
     out      float32  rows [10][padded joints]: w x y z, translation, scale; then the morph weights, padded as well
 """
 
@@ -46,7 +49,7 @@ FRAMES = 16
 ROWS = 10
 MARGIN = 64  # bytes before and after the codes that may be read but mean nothing
 ENTRY = 128  # bytes of one profile
-PADDED, TRACKS, FRAME_COUNT, MORPHS, SLOTS, STEPS, SCALES, BASE, BEFORE = range(9)
+PADDED, TRACKS, FRAME_COUNT, MORPHS, SLOTS, STEPS, SCALES, BASE, BEFORE, MASKS, OFFSETS = range(11)
 HEADER = 16
 
 _I8, _I16, _I32, _I64 = (ir.IntType(n) for n in (8, 16, 32, 64))
@@ -96,137 +99,132 @@ def unpack_coefficients(typing, codes, start, book, entry):
     return _SIXTEEN(codes, start, book, entry), generate
 
 
-def _add(builder, a, b):
-    return builder.fadd(a, b, flags=("contract", "nsz"))
+def _joined(lanes_each):
+    """Add the two halves of every group of lanes of two vectors; the groups of the first come first."""
+
+    @intrinsic
+    def join(typing, a, b):
+        def generate(context, builder, sig, args):
+            half = lanes_each // 2
+            groups = range(0, 2 * FRAMES, lanes_each)
+            low = [g + k for g in groups for k in range(half)]
+            low, high = (shuffle(builder, args[0], args[1], [k + shift for k in low]) for shift in (0, half))
+            return builder.fadd(low, high, flags=("contract", "nsz"))
+
+        return _SIXTEEN(a, b), generate
+
+    return join
 
 
-def _halved(builder, value, count):
-    """The lower half of the lanes plus the upper."""
-    half = count // 2
-    low, high = (shuffle(builder, value, value, range(k, k + half)) for k in (0, half))
-    return _add(builder, low, high)
-
-
-@intrinsic
-def sum_lanes(typing, vector):
-    """The sum of sixteen lanes."""
-
-    def generate(context, builder, sig, args):
-        value = args[0]
-        for count in (16, 8, 4, 2):
-            value = _halved(builder, value, count)
-        return builder.extract_element(value, _I32(0))
-
-    return types.float32(_SIXTEEN), generate
+_join_16, _join_8, _join_4, _join_2 = (_joined(n) for n in (16, 8, 4, 2))
 
 
 @intrinsic
-def add_four(typing, out, at, targets, first, steps, step, a, b, c, d):
-    """Add the sums of four vectors, times four steps, to ``out[at + targets[first]]`` and the three after it."""
+def expand(typing, values, index, bits, base, at):
+    """``base[at:at + 16]`` with neighbouring ``values`` from an index on added to the lanes whose bit is set."""
 
     def generate(context, builder, sig, args):
-        a, b, c, d = (_halved(builder, v, 16) for v in args[6:])
-        # Eight lanes each: interleave by halves until every vector has its own lane.
-        ab, cd = (
-            _add(
-                builder,
-                shuffle(builder, x, y, [0, 1, 2, 3, 8, 9, 10, 11]),
-                shuffle(builder, x, y, [4, 5, 6, 7, 12, 13, 14, 15]),
-            )
-            for x, y in ((a, b), (c, d))
+        mask = builder.bitcast(
+            builder.trunc(context.cast(builder, args[2], sig.args[2], types.int64), _I16),
+            ir.VectorType(ir.IntType(1), FRAMES),
         )
-        four = _add(
-            builder,
-            shuffle(builder, ab, cd, [0, 1, 4, 5, 8, 9, 12, 13]),
-            shuffle(builder, ab, cd, [2, 3, 6, 7, 10, 11, 14, 15]),
-        )
-        four = _add(builder, shuffle(builder, four, four, [0, 2, 4, 6]), shuffle(builder, four, four, [1, 3, 5, 7]))
-        kind = ir.VectorType(ir.FloatType(), 4)
-        four = builder.fmul(four, read(builder, address(context, builder, sig, args, 4, kind), 4))
-        pose = address(context, builder, sig, args, 0, ir.FloatType())
-        where = address(context, builder, sig, args, 2, _I64)
-        for k in range(4):
-            place = builder.gep(pose, [read(builder, builder.gep(where, [_I64(k)]), 8)])
-            value = builder.fadd(read(builder, place, 4), builder.extract_element(four, _I32(k)))
-            builder.store(value, place)
-        return context.get_dummy_value()
+        first = address(context, builder, sig, args, 0, ir.FloatType())
+        none = ir.Constant(_SIXTEEN.llvm, [0.0] * FRAMES)
+        spread = call_llvm(builder, "llvm.masked.expandload.v16f32", _SIXTEEN.llvm, [first, mask, none])
+        rest = read(builder, address(context, builder, sig, args, 3, _SIXTEEN.llvm), 4)
+        return builder.fadd(spread, rest, flags=("contract", "nsz"))
 
-    return types.void(out, at, targets, first, steps, step, a, b, c, d), generate
+    return _SIXTEEN(values, index, bits, base, at), generate
 
 
 @inlined
-def add_tracks(layout, tables, book, codes, segment, weights, out, at):
-    """Add each track's sum of coefficients times ``weights`` (16 lanes) to its number of the pose."""
+def _one(codes, profile, start, book, weights):
+    entry = np.int64(codes[profile]) * ENTRY
+    return unpack_coefficients(codes, start, book, entry) * weights, start + book[entry + SIZE]
+
+
+@inlined
+def _two(codes, profile, start, book, weights):
+    a, start = _one(codes, profile, start, book, weights)
+    b, start = _one(codes, profile + 1, start, book, weights)
+    return _join_16(a, b), start
+
+
+@inlined
+def _four(codes, profile, start, book, weights):
+    a, start = _two(codes, profile, start, book, weights)
+    b, start = _two(codes, profile + 2, start, book, weights)
+    return _join_8(a, b), start
+
+
+@inlined
+def _eight(codes, profile, start, book, weights):
+    a, start = _four(codes, profile, start, book, weights)
+    b, start = _four(codes, profile + 4, start, book, weights)
+    return _join_4(a, b), start
+
+
+@inlined
+def sum_tracks(layout, tables, book, codes, segment, weights, again, sums):
+    """Each track's sum of coefficients times ``weights`` (16 lanes), times its step; added to ``sums`` if ``again``."""
     tracks = layout[TRACKS]
-    profiles = layout[HEADER + tracks + layout[SLOTS] + segment]
+    profiles = layout[layout[OFFSETS] + segment]
     start = profiles + tracks
+    tables_at, book_at, codes_at, sums_at = pointer(tables), pointer(book), pointer(codes), pointer(sums)
     steps = layout[STEPS]
-    layout_at, tables_at, book_at, codes_at, out_at = (
-        pointer(layout), pointer(tables), pointer(book), pointer(codes), pointer(out),
-    )  # fmt: skip
-    whole = tracks & ~3
-    for track in range(0, whole, 4):
-        p = np.int64(codes[profiles + track]) * ENTRY
-        a = unpack_coefficients(codes_at, start, book_at, p) * weights
-        start += book[p + SIZE]
-        p = np.int64(codes[profiles + track + 1]) * ENTRY
-        b = unpack_coefficients(codes_at, start, book_at, p) * weights
-        start += book[p + SIZE]
-        p = np.int64(codes[profiles + track + 2]) * ENTRY
-        c = unpack_coefficients(codes_at, start, book_at, p) * weights
-        start += book[p + SIZE]
-        p = np.int64(codes[profiles + track + 3]) * ENTRY
-        d = unpack_coefficients(codes_at, start, book_at, p) * weights
-        start += book[p + SIZE]
-        add_four(out_at, at, layout_at, HEADER + track, tables_at, steps + track, a, b, c, d)
-    for track in range(whole, tracks):
-        p = np.int64(codes[profiles + track]) * ENTRY
-        value = sum_lanes(unpack_coefficients(codes_at, start, book_at, p) * weights)
-        start += book[p + SIZE]
-        out[at + layout[HEADER + track]] += value * tables[steps + track]
+    for track in range(0, tracks, FRAMES):
+        a, start = _eight(codes_at, profiles + track, start, book_at, weights)
+        b, start = _eight(codes_at, profiles + track + 8, start, book_at, weights)
+        total = _join_2(a, b) * load_sixteen(tables_at, steps + track)
+        if again:
+            total = total + load_sixteen(sums_at, track)
+        store(sums_at, track, total)
 
 
 @inlined
-def decode_pose(layout, tables, book, codes, frame, share, out, at):
+def decode_pose(layout, tables, book, codes, frame, share, sums, out, at):
     """The pose between two frames, in rows from ``out[at]``; for use inside kernels.
 
     ``frame`` must be one of the clip's; ``share`` (0 to 1) is how much of the frame after it is mixed in, and is only
     looked at where there is one. All rows and morph weights are written.
     """
     padded = layout[PADDED]
-    width = lanes(tables)
-    base = layout[BASE]
-    tables_at, out_at = pointer(tables), pointer(out)
-    for k in range(0, padded * ROWS + layout[MORPHS], width):
-        store(out_at, at + k, load(tables_at, base + k))
+    tables_at, out_at, sums_at = pointer(tables), pointer(out), pointer(sums)
     if layout[TRACKS] > 0:
         slot = frame // FRAMES
-        entry = layout[HEADER + layout[TRACKS] + slot]
+        entry = layout[layout[SLOTS] + slot]
         samples = 1 << (entry & 7)  # per frame
         position = (frame - slot * FRAMES + share) * samples
         sample = min(int(position), FRAMES * samples - 1)
-        mixed = frame + 1 < layout[FRAME_COUNT]
         share = position - sample
         segment = (entry >> 3) + sample // FRAMES
         local = sample % FRAMES
         row = local * FRAMES
         scales = layout[SCALES]
         scale = tables[scales + segment]
-        if mixed and local < FRAMES - 1:
-            weights = load_sixteen(tables_at, row) * ((1 - share) * scale) + load_sixteen(tables_at, row + FRAMES) * (
-                share * scale
-            )
-            add_tracks(layout, tables, book, codes, segment, weights, out, at)
-        elif mixed and share > 0:
-            weights = load_sixteen(tables_at, row) * ((1 - share) * scale)
-            add_tracks(layout, tables, book, codes, segment, weights, out, at)
-            weights = load_sixteen(tables_at, 0) * (share * tables[scales + segment + 1])
-            add_tracks(layout, tables, book, codes, segment + 1, weights, out, at)
+        mixed = frame + 1 < layout[FRAME_COUNT]
+        weights = load_sixteen(tables_at, row)
+        if mixed:
+            weights = weights * ((1 - share) * scale)
+            if local < FRAMES - 1:
+                weights = weights + load_sixteen(tables_at, row + FRAMES) * (share * scale)
         else:
-            add_tracks(layout, tables, book, codes, segment, load_sixteen(tables_at, row) * scale, out, at)
+            weights = weights * scale
+        sum_tracks(layout, tables, book, codes, segment, weights, False, sums)
+        if mixed and local == FRAMES - 1 and share > 0:
+            weights = load_sixteen(tables_at, 0) * (share * tables[scales + segment + 1])
+            sum_tracks(layout, tables, book, codes, segment + 1, weights, True, sums)
+    base, masks = layout[BASE], layout[MASKS]
+    for k in range(0, padded * ROWS + layout[MORPHS], FRAMES):
+        bits = layout[masks]
+        if bits:
+            store(out_at, at + k, expand(sums_at, layout[masks + 1], bits, tables_at, base + k))
+        else:
+            store(out_at, at + k, load_sixteen(tables_at, base + k))
+        masks += 2
     before = layout[BEFORE]
     after, complete = before + 4 * padded, before + 8 * padded
-    for j in range(0, padded, width):
+    for j in range(0, padded, lanes(tables)):
         w, x, y, z = load4(out_at, at + j, padded)
         square = x * x + y * y + z * z
         rational = load(tables_at, complete + j)
@@ -254,24 +252,24 @@ def frame_at(time_s, start_s, rate_hz, frames, loop):
 
 
 @kernel
-def decode_at(layout, tables, book, codes, start_s, rate_hz, loop, times_s, out):
+def decode_at(layout, tables, book, codes, start_s, rate_hz, loop, times_s, sums, out):
     """Poses at many times, one after another in ``out``."""
     frames = layout[FRAME_COUNT]
     stride = layout[PADDED] * ROWS + layout[MORPHS]
     for n in range(times_s.shape[0]):
         frame, share = frame_at(times_s[n], start_s, rate_hz, frames, loop)
-        decode_pose(layout, tables, book, codes, frame, share, out, n * stride)
+        decode_pose(layout, tables, book, codes, frame, share, sums, out, n * stride)
 
 
 @kernel
 def decode_to(
-    layout, tables, book, codes, start_s, rate_hz, loop, times_s, room, rotations, translations, scales, weights
+    layout, tables, book, codes, start_s, rate_hz, loop, times_s, sums, room, rotations, translations, scales, weights
 ):
     """Poses at many times as (N, J, 4), (N, J, 3), (N, J, 3) and (N, M); ``room`` holds the rows of one pose."""
     frames, padded = layout[FRAME_COUNT], layout[PADDED]
     for n in range(times_s.shape[0]):
         frame, share = frame_at(times_s[n], start_s, rate_hz, frames, loop)
-        decode_pose(layout, tables, book, codes, frame, share, room, 0)
+        decode_pose(layout, tables, book, codes, frame, share, sums, room, 0)
         for j in range(rotations.shape[1]):
             for k in range(4):
                 rotations[n, j, k] = room[k * padded + j]

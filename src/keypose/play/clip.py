@@ -189,7 +189,16 @@ def sample_rows(clip: CompiledClip, times_s: Array | float, *, loop: bool | None
     d = clip.decoder
     out = aligned(len(times) * d.stride)
     decode_at(
-        d.layout, d.tables, d.book, d.codes, clip.start_s, clip.rate_hz, clip.loop if loop is None else loop, times, out
+        d.layout,
+        d.tables,
+        d.book,
+        d.codes,
+        clip.start_s,
+        clip.rate_hz,
+        clip.loop if loop is None else loop,
+        times,
+        aligned(d.room),
+        out,
     )
     rows = out.reshape(len(times), d.stride)[:, : store.ROWS * d.padded]
     return rows.reshape(len(times), store.ROWS, d.padded)

@@ -24,7 +24,7 @@ _LEAST_W = 0.1
 _BEND = 0.3
 _BENT_SHARES = (0.99, 1.0)  # of all frames, that are looked at for it
 _LOWEST_SCALE, _LUCKY = -100, 4
-_PROFILES = 256
+_PROFILES = 255
 _TUNED_SEGMENTS, _TUNING = 10, (1.0, 0.5, 0.5)
 _CODED_SHARE = 0.85  # of the coefficients take bits; what a finer step costs
 _CHECKS_PER_FRAME = 4
@@ -422,7 +422,15 @@ def _plan(parents: Array, frames: Frames, closed: bool, budget: Budget, share: f
     starts = np.concatenate([[0], np.cumsum(np.bincount(parents[parents >= 0], minlength=joints))]).astype(np.int64)
     children = np.append(np.argsort(np.where(parents < 0, joints, parents), kind="stable"), 0).astype(np.int64)
     rig = Rig(parents, kinds, before, after, base, rotation_tracks, other_tracks, starts, children, weight_tracks)
-    rounded = 2.0 ** (np.rint(np.log2(np.array(steps, np.float64)) * 4) / 4) if steps else np.zeros(0)
+    rounded = 2.0 ** (np.rint(np.log2(np.array(steps, np.float64)) * 4) / 4)
+    # Tracks are stored by row, then by joint.
+    order = np.concatenate([rotation_tracks.T.ravel(), other_tracks.T.ravel(), weight_tracks])
+    order = order[order >= 0]
+    number = np.full(len(order) + 1, -1, np.int64)
+    number[order] = np.arange(len(order))
+    for table in (rotation_tracks, other_tracks, weight_tracks):
+        table[...] = number[table]
+    rounded = rounded[order]
     return rig, rounded
 
 
@@ -569,6 +577,6 @@ def decode_frames(packed: Packed, decoder: store.Decoder, times_s: Array, loop: 
     )  # fmt: skip
     decode_to(
         decoder.layout, decoder.tables, decoder.book, decoder.codes, float(packed.info["start_s"]),
-        float(packed.info["rate_hz"]), loop, np.ascontiguousarray(times_s, np.float64), aligned(decoder.stride), *out,
+        float(packed.info["rate_hz"]), loop, np.ascontiguousarray(times_s, np.float64), aligned(decoder.room), aligned(decoder.stride), *out,
     )  # fmt: skip
     return out

@@ -44,7 +44,7 @@ _MOVED, _SCALED = 8, 16  # flags: a constant translation, scale is stored
 class Packed:
     """Everything of a compiled clip that is stored, in the precision in which it is stored.
 
-    J joints, M morphs, N tracks (in the order of the joints: translation, scale, rotation w x y z; then morphs),
+    J joints, M morphs, N tracks (sorted by row w x y z, translation, scale, then by joint; then morphs),
     S segments of 16 frames, P profiles.
     """
 
@@ -81,6 +81,11 @@ class Decoder:
     def padded(self) -> int:
         """Joints, filled up to a multiple of 16."""
         return int(self.layout[0])
+
+    @property
+    def room(self) -> int:
+        """float32 numbers that decoding needs beside its result."""
+        return int(self.layout[1]) + 16
 
     @property
     def stride(self) -> int:
@@ -135,13 +140,24 @@ def unpack_quaternions(packed: Array) -> Array:
 # --- tracks --------------------------------------------------------------------------------------------------------------
 
 
+def moving_rows(packed: Packed) -> Array:
+    """Which numbers of the pose have a track, (10, J) bool; tracks are stored in this order, then those of morphs."""
+    return (packed.moving[None, :] >> np.arange(ROWS)[:, None]) & 1 > 0
+
+
 def track_targets(packed: Packed, padded: int) -> Array:
-    """Where the decoder adds each track, (N,), in the order in which tracks are stored."""
-    targets: list[int] = []
-    for j, bits in enumerate(packed.moving.tolist()):
-        targets += [row * padded + j for row in (*range(4, ROWS), *range(4)) if bits >> row & 1]
-    targets += [ROWS * padded + m for m in np.nonzero(packed.morphs_moving)[0].tolist()]
-    return np.array(targets, np.int64)
+    """Where in a decoded pose the number of each track is, (N,)."""
+    row, joint = np.nonzero(moving_rows(packed))
+    return np.concatenate([row * padded + joint, ROWS * padded + np.nonzero(packed.morphs_moving)[0]])
+
+
+def _masks(packed: Packed, padded: int, morph_room: int) -> Array:
+    """Per 16 numbers of the pose which have a track, as bits, and how many tracks come before, (blocks, 2) int64."""
+    moves = np.zeros(ROWS * padded + morph_room, bool)
+    moves[track_targets(packed, padded)] = True
+    blocks = moves.reshape(-1, FRAMES)
+    counts = blocks.sum(axis=1)
+    return np.stack([(blocks << np.arange(FRAMES)).sum(axis=1), np.cumsum(counts) - counts], axis=1).astype(np.int64)
 
 
 def refinements(info: Mapping[str, Any]) -> Array:
@@ -180,7 +196,8 @@ def decoder(packed: Packed) -> Decoder:
     """The run-time arrays of a compiled clip."""
     from keypose.kernels.runtime import aligned, aligned_copy
 
-    joints, morphs, tracks = len(packed.kinds), len(packed.morphs), packed.track_count
+    joints, morphs = len(packed.kinds), len(packed.morphs)
+    tracks = -(-packed.track_count // FRAMES) * FRAMES
     segments, frames = len(packed.segment_scales), int(packed.info["frames"])
     padded, morph_room = -(-max(joints, 1) // 16) * 16, -(-morphs // 16) * 16
     steps_at = FRAMES * FRAMES
@@ -189,7 +206,7 @@ def decoder(packed: Packed) -> Decoder:
     before_at = base_at + ROWS * padded + morph_room
     tables = aligned(before_at + 9 * padded)
     tables[:steps_at] = cosines().ravel()
-    tables[steps_at:scales_at] = np.exp2(packed.steps / 4) / 2  # codes count half steps
+    tables[steps_at:][: packed.track_count] = np.exp2(packed.steps / 4) / 2  # codes count half steps
     tables[scales_at : scales_at + segments] = np.exp2(packed.segment_scales / 8)
     base = tables[base_at : base_at + ROWS * padded].reshape(ROWS, padded)
     base[7:] = 1.0
@@ -201,18 +218,38 @@ def decoder(packed: Packed) -> Decoder:
     around[:4, :joints], around[4:8, :joints] = packed.before.T, packed.after.T
     around[8] = 1.0  # x, y, z are divided by 1 + w
     around[8, :joints][packed.kinds == FOUR] = 0.0
+
     slots = refinements(packed.info) if tracks else np.zeros(0, np.int64)
-    layout = np.zeros(HEADER + tracks + len(slots) + segments, np.int64)
-    layout[:9] = padded, tracks, frames, morph_room, len(slots), steps_at, scales_at, base_at, before_at
-    layout[HEADER : HEADER + tracks] = track_targets(packed, padded)
-    layout[HEADER + tracks :][: len(slots)] = (np.cumsum(1 << slots) - (1 << slots)) * 8 + slots
-    layout[HEADER + tracks + len(slots) :] = segment_offsets(packed)[:-1] + MARGIN
-    codes = aligned(MARGIN + len(packed.codes) + MARGIN, np.uint8)
-    codes[MARGIN : MARGIN + len(packed.codes)] = np.frombuffer(packed.codes, np.uint8)
+    masks = _masks(packed, padded, morph_room).ravel()
+    slots_at = HEADER + len(masks)
+    offsets_at = slots_at + len(slots)
+    codes, offsets = _run_time_codes(packed, tracks)
+    header = np.zeros(HEADER, np.int64)
+    header[:11] = (
+        padded, tracks, frames, morph_room, slots_at, steps_at, scales_at, base_at, before_at, HEADER, offsets_at
+    )  # fmt: skip
+    first = np.cumsum(1 << slots) - (1 << slots)
+    layout = np.concatenate([header, masks, first * 8 + slots, offsets])
     arrays = (layout, tables, aligned_copy(_book_table(packed.book), np.uint8), codes)
     for array in arrays:
         array.setflags(write=False)
     return Decoder(*arrays)
+
+
+def _run_time_codes(packed: Packed, tracks: int) -> tuple[Array, Array]:
+    """The codes with the profiles of every segment filled up to ``tracks`` by the empty one, and the segments' offsets."""
+    from keypose.kernels.runtime import aligned
+
+    given, filled = packed.track_count, tracks - packed.track_count
+    stored = np.frombuffer(packed.codes, np.uint8)
+    offsets = segment_offsets(packed)
+    moved = offsets[:-1] + filled * np.arange(len(offsets) - 1) + MARGIN
+    codes = aligned(2 * MARGIN + len(stored) + filled * len(moved), np.uint8)
+    for at, start, end in zip(moved.tolist(), offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
+        codes[at : at + given] = stored[start : start + given]
+        codes[at + given : at + tracks] = len(packed.book)
+        codes[at + tracks : at + filled + end - start] = stored[start + given : end]
+    return codes, moved
 
 
 def profile_bytes(book: Array) -> Array:
@@ -221,17 +258,18 @@ def profile_bytes(book: Array) -> Array:
 
 
 def _book_table(book: Array) -> Array:
-    """Per profile the bytes that the decoder reads: where the coefficients are, shifts, which are stored, size."""
-    widths = book.astype(np.int64)
-    table = np.zeros((max(len(book), 1), ENTRY), np.uint8)
-    if not len(book):
-        return table
+    """Per profile the bytes that the decoder reads: where the coefficients are, shifts, which are stored, size.
+
+    The last one stores nothing.
+    """
+    widths = np.concatenate([book.astype(np.int64), np.zeros((1, FRAMES), np.int64)])
+    table = np.zeros((len(widths), ENTRY), np.uint8)
     starts = np.cumsum(widths, axis=1) - widths
-    table[:, :64] = (starts[:, :, None] // 8 + np.arange(4)).reshape(len(book), 64)
+    table[:, :64] = (np.where(widths > 0, starts, 0)[:, :, None] // 8 + np.arange(4)).reshape(len(widths), 64)
     table[:, 64:80] = np.where(widths > 0, 32 - starts % 8 - widths, 0)
     table[:, 80:96] = np.where(widths > 0, 31 - widths, 0)
     table[:, 96:98] = np.packbits(widths > 0, axis=1, bitorder="little")
-    table[:, 98] = profile_bytes(book)
+    table[:, 98] = (widths.sum(axis=1) + 7) // 8
     return table
 
 
@@ -430,9 +468,10 @@ def _inflated(deflated: bytes, most: int, where: int, exact: bool = True) -> byt
     try:
         inflate = zlib.decompressobj()
         data = inflate.decompress(deflated, max(most, 1))
+        more = not inflate.eof and inflate.decompress(inflate.unconsumed_tail, 1)
     except zlib.error as error:
         raise FormatError(f"cannot be inflated: {error}", where=f"byte {where}") from None
-    if (not inflate.eof and inflate.decompress(inflate.unconsumed_tail, 1)) or (exact and len(data) != most):
+    if more or (exact and len(data) != most):
         raise FormatError(f"expected {most} bytes when inflated", where=f"byte {where}")
     return data
 
@@ -454,8 +493,8 @@ def _header(deflated: bytes) -> dict[str, Any]:
     numbers = [info[k] for k in ("rate_hz", "start_s", "tolerance_m", "shell_m")]
     if not all(abs(n) < 1e300 for n in numbers) or info["rate_hz"] <= 0:  # also false for NaN
         raise FormatError("header: expected finite numbers and a positive rate", where=where)
-    if info["frames"] < 1 or info["tracks"] < 0 or not 0 <= info["profiles"] <= 256:
-        raise FormatError("header: expected frames, and at most 256 profiles", where=where)
+    if info["frames"] < 1 or info["tracks"] < 0 or not 0 <= info["profiles"] <= 255:
+        raise FormatError("header: expected frames, and at most 255 profiles", where=where)
     if info["frames"] > 1 << 40:
         raise FormatError(f"header: {info['frames']} frames", where=where)
     slots = -(-info["frames"] // FRAMES)

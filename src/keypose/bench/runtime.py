@@ -1,0 +1,91 @@
+# pyright: basic
+"""The real-time runtime: how small compiled clips are, how far they are off, and how fast one pose is decoded."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keypose import evaluate, io, play
+from keypose.bench import data
+from keypose.bench.suite import Result, Suite
+from keypose.kernels.decode import FRAME_COUNT, decode_pose, frame_at
+from keypose.kernels.runtime import aligned, kernel
+from keypose.model import Motion, Pose, Skeleton
+
+# N. Frechette, "Animation Compression Library", results on the CMU database: ratio at an error of 0.01 cm asked for.
+_PUBLISHED, _PUBLISHED_NAME = 21.8, "ACL, published, CMU"
+_FILES = ("cmu_01_01/01_01.bvh", "bvh/cmu_iclone_007/*.bvh")
+_POSES = 1000
+
+
+def add(suite: Suite) -> None:
+    """All rows of the suite.
+
+    Real captures are looked for in the folder that the environment variable KEYPOSE_DATA names.
+    """
+    _compression(suite)
+    _decompression(suite)
+
+
+def _compression(suite: Suite) -> None:
+    from keypose.samples import performances, skeleton
+
+    sources: list[tuple[str, Any, Skeleton, float | None]] = [
+        (name, performances.make(name), skeleton.skeleton(), None) for name in performances.names()
+    ]
+    folder = os.environ.get("KEYPOSE_DATA")
+    if folder:
+        for path in (p for pattern in _FILES for p in sorted(Path(folder).glob(pattern))):
+            scene = io.load(path)
+            sources.append((path.name, scene.animations[0], scene.character.skeleton, _PUBLISHED))
+    for name, motion, bones, published in sources:
+        clip = play.compile_clip(motion, bones)
+        suite.check(f"compression, {name}: error on the body in tolerances", clip.error.ratio, 1.0)
+        ratio = None if published is None else clip.ratio / published
+        note = f"{clip.error.max_m * 100:.4f} cm, {clip.byte_count / 1024:.1f} KiB"
+        against = "" if published is None else _PUBLISHED_NAME
+        suite.missing.append(
+            Result(f"compression, {name}", ":1", clip.ratio, clip.ratio, published, ratio, against, note)
+        )
+
+
+@kernel
+def _decode_all(layout, tables, book, codes, start_s, rate_hz, times_s, sums, out):
+    for n in range(times_s.shape[0]):
+        frame, share = frame_at(times_s[n], start_s, rate_hz, layout[FRAME_COUNT], False)
+        decode_pose(layout, tables, book, codes, frame, share, sums, out, 0)
+
+
+def _decompression(suite: Suite) -> None:
+    rng = np.random.default_rng(1)
+    parents, offsets = data.body()
+    rotations, translations = data.clips(offsets, rng)[0]
+    joints = len(parents)
+    rest = Pose(offsets, np.tile([1.0, 0, 0, 0], (joints, 1)), np.ones((joints, 3)))
+    skeleton = Skeleton(tuple(f"joint{j}" for j in range(joints)), parents, rest)
+    motion = Motion(skeleton.names, Pose(translations, rotations, np.ones((joints, 3))), 30.0)
+    every = play.compile_clip(motion, skeleton)
+    # As in captures: the fingers rest.
+    still = np.array(rotations)
+    still[:, data.BODY_JOINTS :] = still[:1, data.BODY_JOINTS :]
+    body = play.compile_clip(motion.with_pose(Pose(translations, still, np.ones((joints, 3)))), skeleton)
+    for clip, label in ((body, ""), (every, ", all turning")):
+        times = rng.uniform(clip.start_s, clip.end_s, _POSES)
+        true = evaluate.sample_motion(motion, times)
+        if clip is every:
+            off = np.abs(play.sample(clip, times).translations - true.translations).max()
+            suite.check("decompress one pose: translations in metres", off, 2e-4)
+        d = clip.decoder
+        arguments = (d.layout, d.tables, d.book, d.codes, clip.start_s, clip.rate_hz, times, aligned(d.room))
+        out = aligned(d.stride)
+        few = times[:100]
+        suite.case(
+            f"decompress one pose, {joints} joints, random time{label}", "ns", _POSES,
+            lambda arguments=arguments, out=out: _decode_all(*arguments, out),
+            lambda few=few: evaluate.sample_motion(motion, few), "NumPy, raw", len(few),
+            note=f"{clip.packed.track_count} numbers move",
+        )  # fmt: skip
