@@ -45,7 +45,7 @@ class Compressed:
     stride: int
     count: int
     mode: str  # ATTRIBUTES, TRIANGLES, INDICES
-    filter: str  # NONE, OCTAHEDRAL, QUATERNION, EXPONENTIAL
+    filter: str  # NONE, OCTAHEDRAL, QUATERNION, EXPONENTIAL, COLOR
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,7 +349,7 @@ def _compressed(item: Json, sizes: Mapping[str, int]) -> Compressed:
     mode, filter = item.text("mode"), item.text("filter", "NONE")
     if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES"):
         item.fail(f"unknown mode '{mode[:40]}'")
-    if filter not in ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"):
+    if filter not in ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"):
         item.fail(f"unknown filter '{filter[:40]}'")
     return Compressed(
         buffer=item.to("buffer", sizes["buffers"], "buffer"),
