@@ -1,70 +1,21 @@
-"""Compressed geometry through optional libraries: meshoptimizer's buffer views and Draco's primitives.
+"""Compressed geometry: meshoptimizer's buffer views, and Draco's primitives through an optional library.
 
-Source: EXT_meshopt_compression and KHR_draco_mesh_compression of the Khronos glTF extension registry.
+Source: KHR_draco_mesh_compression of the Khronos glTF extension registry.
 """
 
 from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError, MissingExtra
-from keypose.io.gltf.document import Compressed
+from keypose.io.gltf.meshopt import MESHOPT_MOST, unpack_meshopt
 
-# The most bytes that one compressed byte can stand for: a control byte of the vertex codec's version 1 covers four
-# lanes of 256 elements each. A count beyond it is refused before memory is taken.
-MESHOPT_MOST = 1024
-
-
-def _library(module: str, feature: str) -> ModuleType:
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise MissingExtra(feature, "compression") from None
-
-
-def unpack_meshopt(packed: Compressed, source: bytes, where: str) -> bytes:
-    """The bytes of a compressed buffer view.
-
-    Raises:
-        FormatError: where the data is damaged.
-        MissingExtra: where meshoptimizer is not installed.
-    """
-    library = _library("meshoptimizer", "reading glTF data compressed by meshoptimizer")
-    count, stride = packed.count, packed.stride
-    if count == 0:
-        return b""
-    if not source:
-        raise FormatError("the compressed data is empty", where=where)
-    try:
-        if packed.mode == "ATTRIBUTES":
-            return _filtered(library, library.decode_vertex_buffer(count, stride, source), packed, where)
-        if stride not in (2, 4):
-            raise FormatError(f"expected indices of 2 or 4 bytes, got {stride}", where=where)
-        if packed.mode == "TRIANGLES" and count % 3:
-            raise FormatError(f"{count} indices are no triangles", where=where)
-        decode = library.decode_index_buffer if packed.mode == "TRIANGLES" else library.decode_index_sequence
-        return decode(count, 4, source).astype("<u2" if stride == 2 else "<u4").tobytes()
-    except (RuntimeError, ValueError) as error:
-        if isinstance(error, FormatError):
-            raise
-        raise FormatError(f"the compressed data is damaged: {error}", where=where) from None
-
-
-def _filtered(library: ModuleType, decoded: NDArray[Any], packed: Compressed, where: str) -> bytes:
-    strides = {"OCTAHEDRAL": (4, 8), "QUATERNION": (8,)}.get(packed.filter)
-    if strides is not None and packed.stride not in strides:
-        raise FormatError(f"the {packed.filter.lower()} filter needs a stride of {strides}", where=where)
-    if packed.filter == "NONE":
-        return decoded.tobytes()
-    name = {"OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp"}[packed.filter]
-    raw = np.frombuffer(decoded.tobytes(), np.uint8)  # as bytes: rounding floats to integers has no place here
-    return getattr(library, f"decode_filter_{name}")(raw, packed.count, packed.stride).tobytes()
+__all__ = ["MESHOPT_MOST", "DracoMesh", "unpack_draco", "unpack_meshopt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +33,10 @@ def unpack_draco(source: bytes, where: str) -> DracoMesh:
         FormatError: where the data is damaged.
         MissingExtra: where DracoPy is not installed.
     """
-    library = _library("DracoPy", "reading glTF data compressed by Draco")
+    try:
+        library = importlib.import_module("DracoPy")
+    except ImportError:
+        raise MissingExtra("reading glTF data compressed by Draco", "compression") from None
     try:
         mesh = library.decode(source)
         if not hasattr(mesh, "faces"):
