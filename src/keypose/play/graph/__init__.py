@@ -39,6 +39,7 @@ from keypose.play.graph.definition import (
 )
 from keypose.play.graph.files import from_json, load, save, to_json
 from keypose.play.graph.program import Change, Fired
+from keypose.play.graph.running import Inputs, Run, in_place, inputs_from_json, run, run_program
 from keypose.play.graph.stepping import Output, State, init, step
 from keypose.play.graph.trace import Trace
 
@@ -57,6 +58,7 @@ __all__ = [
     "Graph",
     "GraphError",
     "Input",
+    "Inputs",
     "Layer",
     "LookAt",
     "Marker",
@@ -66,6 +68,7 @@ __all__ = [
     "Plant",
     "Program",
     "RestNode",
+    "Run",
     "Sample1D",
     "Sample2D",
     "State",
@@ -79,9 +82,13 @@ __all__ = [
     "check",
     "find_cycle",
     "from_json",
+    "in_place",
     "init",
+    "inputs_from_json",
     "load",
     "problems",
+    "run",
+    "run_program",
     "save",
     "step",
     "to_json",

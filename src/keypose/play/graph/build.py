@@ -467,7 +467,7 @@ def _plant(b: _Builder, name: str, node: d.Plant) -> Solver:
         if len(path) < 3:
             raise GraphError(name, "contacts", f"expected two bones between '{entry.limb}' and '{entry.joint}'")
         # Upper, middle and end are the first three of the chain: thigh, shin, foot; the contact may lie further out.
-        feet.append((contacts.index(contact), joint, _limb(b, name, "contacts", path[:3], 0.01)))
+        feet.append((contacts.index(contact), joint, _limb(b, name, "contacts", path[:3], 0.0)))
     return PlantSolver(b.skeleton, b.layout, tuple(feet))
 
 

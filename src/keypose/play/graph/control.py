@@ -231,17 +231,21 @@ class RtClip(RtNode):
             return
         d = self.asset.duration_s
         forward = p1 > p0
+        # The seam belongs to two loops. Where the clip was entered there, only the one it plays into has begun.
+        entered = p0 == (m.floats[self.begun], 0.0)
         low, high = (p0, p1) if forward else (p1, p0)
         stops = self.loops > 0 and p1 == ((self.loops, 0.0) if forward else (0, 0.0))
-        found: list[tuple[tuple[int, float], int]] = []
+        found: list[tuple[tuple[int, float], int, int]] = []
         for loop in range(low[0] - 1, high[0] + 1):
             if self.loops and not 0 <= loop < self.loops:
                 continue
             for i, (time, _, _) in enumerate(self.asset.events):
                 at = (loop + 1, 0.0) if time >= d else (loop, time)
+                if entered and at == p0 and forward == (time >= d):
+                    continue
                 if low < at < high or at == p0 or (stops and at == p1):
-                    found.append((at, i))
-        for _, i in sorted(found, reverse=not forward):
+                    found.append((at, loop, i))
+        for _, _, i in sorted(found, reverse=not forward):
             _, name, data = self.asset.events[i]
             m.events.append(Fired(name, data, self.asset.name, self.name, weight))
 

@@ -77,7 +77,10 @@ class ReachSolver:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantSolver:
-    """Moves feet so that their contact points are where the pose's effectors say; the feet keep their facing."""
+    """Moves feet so that their contact points are where the pose's effectors say; the feet keep their facing.
+
+    Where a leg is too short for its foot, the whole body sinks as far as it must.
+    """
 
     skeleton: Skeleton
     layout: Layout
@@ -87,11 +90,30 @@ class PlantSolver:
         """The pose with all feet planted."""
         turned, places = _world(self.skeleton, self.layout, buffer)
         wanted = buffer.linear[self.layout.effector_slice].reshape(-1, 3)
+        goals = [places[limb.end] + weight * (wanted[contact] - places[joint]) for contact, joint, limb in self.feet]
+        sink = max(self._sink(places, limb, goal) for (_, _, limb), goal in zip(self.feet, goals, strict=True))
+        linear = buffer.linear
+        if sink > 0:
+            linear = linear.copy()
+            for top in np.flatnonzero(self.skeleton.parents < 0):
+                linear[3 * int(top) + 1] -= sink
+            places = places - np.array([0.0, sink, 0.0])
         rotations = buffer.rotations
-        for contact, joint, limb in self.feet:
-            goal = places[limb.end] + weight * (wanted[contact] - places[joint])
+        for (_, _, limb), goal in zip(self.feet, goals, strict=True):
             rotations = _solved(self.skeleton, rotations, turned, places, limb, goal)
-        return Buffer(rotations, buffer.linear)
+        return Buffer(rotations, linear)
+
+    def _sink(self, places: Floats, limb: Limb, goal: Floats) -> float:
+        """How far the body must come down for a limb to reach its goal, in metres; 0 where coming down does not help."""
+        start, middle, end = places[limb.upper], places[limb.middle], places[limb.end]
+        reach = REACH * float(np.linalg.norm(middle - start) + np.linalg.norm(end - middle))
+        across = float(np.hypot(goal[0] - start[0], goal[2] - start[2]))
+        if across >= reach:
+            return 0.0
+        return max(float(start[1] - goal[1]) - float(np.sqrt(reach**2 - across**2)), 0.0)
+
+
+REACH = 0.9995  # of a limb's length: a straight knee has no side to bend to
 
 
 def _world(skeleton: Skeleton, layout: Layout, buffer: Buffer) -> tuple[Floats, Floats]:
