@@ -9,5 +9,8 @@ run on. Importing this package loads nothing; each module loads Numba when it is
     sample   sampling and blending clips for crowds and single characters
     slerp    spherical interpolation in two layouts
     skin     linear-blend skinning
+    euler    Euler angles to quaternions and back
+    encode, decode   compressed clips of the run time
+    meshopt  compressed buffers of glTF
     vectors, rotations, words, wordvectors, runtime   what they are made of
 """

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from keypose.errors import FormatError, MissingExtra
+from keypose.errors import FormatError
 from keypose.io.gltf import compression
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
@@ -77,15 +77,9 @@ class Arrays:
         """The bytes of a buffer view, unpacked where they are compressed."""
         if index not in self._views:
             item = self._document.views[index]
-            plain = item.compressed is None
-            if not plain:
-                try:
-                    self._views[index] = self._unpacked(item)
-                except MissingExtra:  # the file may hold the same data uncompressed
-                    if self._document.buffers[item.buffer].fallback:
-                        raise
-                    plain = True
-            if plain:
+            if item.compressed is not None:
+                self._views[index] = self._unpacked(item)
+            else:
                 if self._document.buffers[item.buffer].fallback and self._document.buffers[item.buffer].uri is None:
                     raise FormatError("the view lies in a fallback buffer that has no data", where=item.where)
                 self._views[index] = self.range(item.buffer, item.offset, item.length, item.where)
