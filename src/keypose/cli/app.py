@@ -28,6 +28,12 @@ UnitOption = Annotated[
 UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of a file that does not say: X, Y or Z.")]
 Host = Annotated[str, typer.Option(help="Address to listen on; only this machine can reach the default.")]
 Port = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
+Remote = Annotated[
+    bool,
+    typer.Option(
+        "--allow-remote", help="Let --host be an address that other machines reach. Anyone with the URL can look."
+    ),
+]
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the URL.")]
 
 
@@ -53,11 +59,11 @@ def options(
 
 
 @app.command(epilog=_examples("keypose demo", "keypose demo --no-browser --port 8123"))
-def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False) -> None:
+def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False, allow_remote: Remote = False) -> None:
     """Open the studio on the built-in character, walking."""
     from keypose.cli.studio import open_studio
 
-    open_studio(["sample:human"], host=host, port=port, open_browser=not no_browser)
+    open_studio(["sample:human"], host=host, port=port, open_browser=not no_browser, allow_remote=allow_remote)
 
 
 _STUDIO_EXAMPLES = _examples(
@@ -70,12 +76,16 @@ _StudioInputs = Annotated[
 
 @app.command(epilog=_STUDIO_EXAMPLES)
 def studio(
-    files: _StudioInputs = None, host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False
+    files: _StudioInputs = None,
+    host: Host = "127.0.0.1",
+    port: Port = 0,
+    no_browser: NoBrowser = False,
+    allow_remote: Remote = False,
 ) -> None:
     """Open files in the browser studio; more can be dropped on its page."""
     from keypose.cli.studio import open_studio
 
-    open_studio(files or [], host=host, port=port, open_browser=not no_browser)
+    open_studio(files or [], host=host, port=port, open_browser=not no_browser, allow_remote=allow_remote)
 
 
 app.command(name="play", epilog=_STUDIO_EXAMPLES, help="Play files in the browser studio (the same as studio).")(studio)

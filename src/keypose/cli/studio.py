@@ -8,7 +8,7 @@ from pathlib import Path
 from keypose.errors import FormatError
 
 
-def open_studio(references: list[str], *, host: str, port: int, open_browser: bool) -> None:
+def open_studio(references: list[str], *, host: str, port: int, open_browser: bool, allow_remote: bool) -> None:
     """Serve the studio until Ctrl-C; prints its URL once it listens."""
     for reference in references:  # a wrong path is told before anything is started
         if not reference.startswith("sample:") and not Path(reference).is_file():
@@ -21,4 +21,4 @@ def open_studio(references: list[str], *, host: str, port: int, open_browser: bo
         if sys.stdout.isatty():
             print("Ctrl-C stops it.", flush=True)
 
-    server.serve(references, host=host, port=port, open_browser=open_browser, ready=ready)
+    server.serve(references, host=host, port=port, open_browser=open_browser, ready=ready, allow_remote=allow_remote)
