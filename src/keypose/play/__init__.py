@@ -1,5 +1,6 @@
-"""The real-time runtime: compiled clips, sampled at any time."""
+"""The real-time runtime: compiled clips, sampled at any time; the animation graph."""
 
+from keypose.play import graph
 from keypose.play.clip import (
     CompiledClip,
     CompileError,
@@ -16,6 +17,7 @@ __all__ = [
     "CompiledClip",
     "compile_clip",
     "from_bytes",
+    "graph",
     "sample",
     "sample_rows",
     "sample_weights",

@@ -468,7 +468,9 @@ def _plant(b: _Builder, name: str, node: d.Plant) -> Solver:
             raise GraphError(name, "contacts", f"expected two bones between '{entry.limb}' and '{entry.joint}'")
         # Upper, middle and end are the first three of the chain: thigh, shin, foot; the contact may lie further out.
         feet.append((contacts.index(contact), joint, _limb(b, name, "contacts", path[:3], 0.0)))
-    return PlantSolver(b.skeleton, b.layout, tuple(feet))
+    heights = [a.effectors[:, :, 1].min(axis=0) for a in b.assets.values()]
+    floors = np.min(heights, axis=0) if heights else np.full(len(contacts), -np.inf)
+    return PlantSolver(b.skeleton, b.layout, tuple(feet), floors)
 
 
 # --- weights --------------------------------------------------------------------------------------------------------------

@@ -79,17 +79,20 @@ class ReachSolver:
 class PlantSolver:
     """Moves feet so that their contact points are where the pose's effectors say; the feet keep their facing.
 
-    Where a leg is too short for its foot, the whole body sinks as far as it must.
+    Where a leg is too short for its foot, the whole body sinks as far as it must. No contact goes below the lowest place
+    that it has in any clip: a transition that swings through stops at the floor.
     """
 
     skeleton: Skeleton
     layout: Layout
     feet: tuple[tuple[int, int, Limb], ...]  # (contact, its joint, limb)
+    floors_m: Floats  # per contact of the graph
 
     def __call__(self, buffer: Buffer, target: object, weight: float) -> Buffer:
         """The pose with all feet planted."""
         turned, places = _world(self.skeleton, self.layout, buffer)
-        wanted = buffer.linear[self.layout.effector_slice].reshape(-1, 3)
+        wanted = buffer.linear[self.layout.effector_slice].reshape(-1, 3).copy()
+        wanted[:, 1] = np.maximum(wanted[:, 1], self.floors_m)
         goals = [places[limb.end] + weight * (wanted[contact] - places[joint]) for contact, joint, limb in self.feet]
         sink = max(self._sink(places, limb, goal) for (_, _, limb), goal in zip(self.feet, goals, strict=True))
         linear = buffer.linear
