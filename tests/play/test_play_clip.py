@@ -70,14 +70,14 @@ def plain_decode(clip: play.CompiledClip, time_s: float) -> Any:
     base = np.concatenate([np.zeros((len(packed.kinds), 4)), packed.translations, packed.scales], axis=1).T
     rows = base.astype(np.float64).ravel()
     position = np.clip((time_s - clip.start_s) * clip.rate_hz, 0, clip.frame_count - 1)
-    frame = min(int(position), max(clip.frame_count - 2, 0))
     if packed.track_count:
-        offsets, slots = store.segment_offsets(packed), store.refinements(packed.info)
-        fine = 1 << int(slots[frame // 16])
-        local = (position - frame // 16 * 16) * fine
-        sample = min(int(local), 16 * fine - 1)
-        first = int(np.sum(1 << slots[: frame // 16])) * 16 + sample
-        for index, weight in ((first, 1 - (local - sample)), (first + 1, local - sample)):
+        offsets = store.segment_offsets(packed)
+        starts, levels = store.segment_starts(store.slot_levels(packed.info))
+        segment = int(np.searchsorted(starts, position, side="right")) - 1
+        local = (position - starts[segment]) * (1 << int(levels[segment]))
+        first = 16 * segment + min(int(local), 15)
+        share = local - min(int(local), 15)
+        for index, weight in ((first, 1 - share), (first + 1, share)):
             if weight > 0 and index // 16 < len(packed.segment_scales):
                 coefficients = store.unpack_segment(packed, offsets, index // 16)
                 sums = coefficients @ store.cosines()[index % 16]
@@ -397,7 +397,8 @@ def test_a_forged_header_is_refused_with_the_place(waves: Any) -> None:
     packed = waves[2].packed
     for change in (
         {"frames": 0}, {"frames": 10**30}, {"frames": 1 << 33}, {"rate_hz": 0}, {"rate_hz": 10**400}, {"joints": [1]},
-        {"refined": [[0, 9]]}, {"refined": [[0]]}, {"refined": [[10**9, 1]]}, {"events": [[1]]}, {"error": {}},
+        {"refined": [[0, [9]]]}, {"refined": [[0]]}, {"refined": [[10**9, [1, 1]]]}, {"refined": [[0, [1, 2]]]},
+        {"refined": [[0, [2, 1, 2]]]}, {"refined": [[0, 1]]}, {"refined": [[0, [1, 1]], [0, [1, 1]]]}, {"events": [[1]]}, {"error": {}},
         {"start_s": "x"}, {"loop": 1}, {"joints": ["a"] * 70000},
     ):  # fmt: skip
         forged = replace(packed, info={**packed.info, **change})

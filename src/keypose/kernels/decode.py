@@ -1,8 +1,8 @@
 # pyright: basic
 """Decoding one pose of a compiled clip at any time.
 
-The frames are cut into *slots* of 16. A slot is one segment of 16 samples, or 2, 4 ... 32 segments where the motion is so
-fast that the straight way between frames would miss it.
+The frames are cut into *slots* of 16. A slot is one segment of 16 samples; where the motion is so fast that the straight way
+between frames would miss it, it is halved into two, those again, and so on, at most five times (level 5).
 
 A *track* is one number of the pose that moves. Over a segment it is 16 coefficients of the cosine transform,
 each with a bit width of its own, which a *profile* lists. Sampling is linear in the coefficients: the weights of a sample,
@@ -11,8 +11,9 @@ coefficients in the lanes. Rotations are finished with joints in the lanes.
 
 Layout of the arrays (all made by `keypose.play.store`; tracks are sorted by row, then by joint)
     layout   int64    HEADER numbers; per row and block of 16 joints which have a track (bits) and the first of these
-                      tracks; the same per block of morphs; per slot 8 times its first segment plus its refinement; the
-                      byte offset of each segment
+                      tracks; the same per block of morphs; per slot 8 times its first cell plus its deepest level n (it
+                      has 2 ** n cells); per cell 8 times its segment plus the segment's level; the byte offset of each
+                      segment
     tables   float32  cosine rows [16][16]; steps of the tracks; scales of the segments; the constant pose; per joint the
                       rotations before and after the coded one, and 1 where its numbers are x, y, z / (1 + w)
     book     uint8    per profile 128 bytes: of each coefficient the four bytes that hold it (4 x 16), how far to shift left
@@ -49,7 +50,7 @@ FRAMES = 16
 ROWS = 10
 MARGIN = 64  # bytes before and after the codes that may be read but mean nothing
 ENTRY = 128  # bytes of one profile
-PADDED, TRACKS, FRAME_COUNT, MORPHS, SLOTS, STEPS, SCALES, BASE, BEFORE, MASKS, OFFSETS = range(11)
+PADDED, TRACKS, FRAME_COUNT, MORPHS, SLOTS, STEPS, SCALES, BASE, BEFORE, MASKS, OFFSETS, CELLS = range(12)
 HEADER = 16
 
 _I8, _I16, _I32, _I64 = (ir.IntType(n) for n in (8, 16, 32, 64))
@@ -193,12 +194,15 @@ def decode_pose(layout, tables, book, codes, frame, share, sums, out, at):
     if layout[TRACKS] > 0:
         slot = frame // FRAMES
         entry = layout[layout[SLOTS] + slot]
-        samples = 1 << (entry & 7)  # per frame
-        position = (frame - slot * FRAMES + share) * samples
+        position = frame - slot * FRAMES + share
+        cells = 1 << (entry & 7)
+        cell = min(int(position * cells) >> 4, cells - 1)
+        found = layout[layout[CELLS] + (entry >> 3) + cell]
+        segment, samples = found >> 3, 1 << (found & 7)  # samples per frame
+        position *= samples
         sample = min(int(position), FRAMES * samples - 1)
         share = position - sample
-        segment = (entry >> 3) + sample // FRAMES
-        local = sample % FRAMES
+        local = sample & (FRAMES - 1)
         row = local * FRAMES
         scales = layout[SCALES]
         scale = tables[scales + segment]

@@ -102,7 +102,7 @@ def compile_clip(
         tolerance_m: largest error in model space of the points ``shell_m`` off every joint, on its three axes.
         overrides: joint name -> its own tolerance in metres.
         rate_hz: frames per second (the motion's own rate or the rate of the clip's keys if not given; 60 where there is
-            none). Where the straight way between frames would miss the source, up to 32 times as many are taken.
+            none). Where the straight way between frames would miss the source, up to 32 times as many samples are taken.
         morph_tolerance: largest error of a morph weight. morph_names: which (all that the animation has if not given).
 
     The result says what error was measured, at all frames and three times between each two; where the tolerance cannot be

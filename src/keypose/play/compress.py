@@ -88,10 +88,10 @@ def encode(
     # A jump between two frames wants either finer slots or more joints with four numbers: take what codes fewer tracks.
     plans = [_plan(parents, frames, closed, budget, share) for share in _BENT_SHARES]
     refined = [_slots(skeleton, rig, truth, times_s, budget) for rig, _ in plans]
-    sizes = [int(np.sum(1 << slots)) * len(steps) for slots, (_, steps) in zip(refined, plans, strict=True)]
+    sizes = [sum(map(len, slots)) * len(steps) for slots, (_, steps) in zip(refined, plans, strict=True)]
     best = int(np.argmin(sizes))
     (rig, steps), slots = plans[best], refined[best]
-    info["refined"] = [[int(s), int(slots[s])] for s in np.nonzero(slots)[0]]
+    info["refined"] = [[s, levels] for s, levels in enumerate(slots) if len(levels) > 1]
     fine = _fine_times(times_s, slots)
     coder = _Coder(skeleton, rig, steps, truth(fine), closed, info, budget)
     coder.compress()
@@ -133,10 +133,11 @@ def _measure(skeleton: Skeleton, decoded: Frames, true: Frames, budget: Budget) 
     return ratio, error, joint
 
 
-def _fine_times(times_s: Array, slots: Array) -> Array:
-    """Times of all samples of all slots, (16 per segment); after the end the last one again."""
-    positions = [s * FRAMES + np.arange(FRAMES << n) / (1 << n) for s, n in enumerate(slots.tolist())]
-    return np.interp(np.concatenate(positions), np.arange(len(times_s)), times_s)
+def _fine_times(times_s: Array, slots: list[list[int]]) -> Array:
+    """Times of all samples of all segments, (16 each); after the end the last one again."""
+    starts, levels = store.segment_starts(slots)
+    positions = starts[:, None] + np.arange(FRAMES) / (1 << levels)[:, None]
+    return np.interp(positions.ravel(), np.arange(len(times_s)), times_s)
 
 
 def _mixed_rotations(rig: Rig, a: Array, b: Array, share: float) -> Array:
@@ -156,37 +157,49 @@ def _mixed_rotations(rig: Rig, a: Array, b: Array, share: float) -> Array:
     return mixed
 
 
-def _slots(skeleton: Skeleton, rig: Rig, truth: Callable[[Array], Frames], times_s: Array, budget: Budget) -> Array:
-    """How often each slot of 16 frames has to be halved, (slots,), for straight ways to stay near the source."""
-    slots = np.zeros(-(-len(times_s) // FRAMES), np.int64)
-    pending = np.arange(len(slots))
-    for n in range(store.FINEST):
-        bent: list[int] = []
-        per_chunk = max(1, _CHUNK >> (4 + n))
-        for start in range(0, len(pending), per_chunk):
-            some = pending[start : start + per_chunk]
-            samples = (FRAMES << n) + 1
-            positions = some[:, None] * FRAMES + np.arange(samples) / (1 << n)
-            times = np.interp(positions, np.arange(len(times_s)), times_s)
-            exact = truth(times.ravel())
-            worst = np.zeros(len(some))
-            for share in (0.25, 0.5, 0.75):
-                middle = times[:, :-1] + share * np.diff(times, axis=1)
-                split = [f.reshape(len(some), samples, *f.shape[1:]) for f in exact]
-                a = [f[:, :-1].reshape(middle.size, *f.shape[2:]) for f in split]
-                b = [f[:, 1:].reshape(middle.size, *f.shape[2:]) for f in split]
-                mixed = Frames(
-                    _mixed_rotations(rig, a[0], b[0], share),
-                    *(x + share * (y - x) for x, y in zip(a[1:], b[1:], strict=True)),
-                )
-                ratio, _, _ = _measure(skeleton, mixed, truth(middle.ravel()), budget)
-                worst = np.maximum(worst, ratio.reshape(len(some), -1).max(axis=1))
-            bent += some[worst > _STRAIGHT].tolist()
-        slots[bent] = n + 1
-        pending = np.array(bent, np.int64)
+def _slots(
+    skeleton: Skeleton, rig: Rig, truth: Callable[[Array], Frames], times_s: Array, budget: Budget
+) -> list[list[int]]:
+    """How each slot of 16 frames has to be halved for straight ways to stay near the source: the levels of its parts."""
+    count = -(-len(times_s) // FRAMES)
+    found: list[tuple[float, int]] = []
+    pending = np.arange(count) * float(FRAMES)
+    for level in range(store.FINEST + 1):
+        if level == store.FINEST:
+            found += [(start, level) for start in pending.tolist()]
+            break
+        bent: list[float] = []
+        for first in range(0, len(pending), _CHUNK // FRAMES):
+            some = pending[first : first + _CHUNK // FRAMES]
+            positions = some[:, None] + np.arange(FRAMES + 1) / (1 << level)
+            missed = _missed(skeleton, rig, truth, np.interp(positions, np.arange(len(times_s)), times_s), budget)
+            found += [(start, level) for start in some[missed <= _STRAIGHT].tolist()]
+            bent += some[missed > _STRAIGHT].tolist()
+        half = FRAMES / (2 << level)
+        pending = np.array([start + k for start in bent for k in (0.0, half)])
         if not bent:
             break
+    slots: list[list[int]] = [[] for _ in range(count)]
+    for start, level in sorted(found):
+        slots[int(start) // FRAMES].append(level)
     return slots
+
+
+def _missed(skeleton: Skeleton, rig: Rig, truth: Callable[[Array], Frames], times: Array, budget: Budget) -> Array:
+    """How far, in budgets, the straight ways between samples at times (S, N) miss the source, (S,)."""
+    exact = truth(times.ravel())
+    worst = np.zeros(len(times))
+    for share in (0.25, 0.5, 0.75):
+        middle = times[:, :-1] + share * np.diff(times, axis=1)
+        split = [f.reshape(*times.shape, *f.shape[1:]) for f in exact]
+        a = [f[:, :-1].reshape(middle.size, *f.shape[2:]) for f in split]
+        b = [f[:, 1:].reshape(middle.size, *f.shape[2:]) for f in split]
+        mixed = Frames(
+            _mixed_rotations(rig, a[0], b[0], share), *(x + share * (y - x) for x, y in zip(a[1:], b[1:], strict=True))
+        )
+        ratio, _, _ = _measure(skeleton, mixed, truth(middle.ravel()), budget)
+        worst = np.maximum(worst, ratio.reshape(len(times), -1).max(axis=1))
+    return worst
 
 
 class _Coder:

@@ -28,7 +28,7 @@ import numpy as np
 from keypose.arrays import Array
 from keypose.errors import FormatError
 
-FINEST = 5  # a slot is cut into 2 ** 5 segments at most
+FINEST = 5  # a slot is halved so often at most
 MAGIC, VERSION = b"KEYPCLIP", 1
 _PREFIX = struct.Struct("<8sIQII")
 HEADER_AT = _PREFIX.size
@@ -160,12 +160,31 @@ def _masks(packed: Packed, padded: int, morph_room: int) -> Array:
     return np.stack([(blocks << np.arange(FRAMES)).sum(axis=1), np.cumsum(counts) - counts], axis=1).astype(np.int64)
 
 
-def refinements(info: Mapping[str, Any]) -> Array:
-    """Of each slot of 16 frames, (slots,) int64: it has 2 ** n segments of 16 samples."""
-    slots = np.zeros(-(-info["frames"] // FRAMES), np.int64)
-    for slot, n in info["refined"]:
-        slots[slot] = n
+def slot_levels(info: Mapping[str, Any]) -> list[list[int]]:
+    """Of each slot of 16 frames the levels of its segments, in order of time: level n lasts 16 / 2 ** n frames."""
+    slots = [[0] for _ in range(-(-info["frames"] // FRAMES))]
+    for slot, levels in info["refined"]:
+        slots[slot] = levels
     return slots
+
+
+def segment_starts(slots: list[list[int]]) -> tuple[Array, Array]:
+    """The first frame of each segment, (S,) float64, and its level, (S,)."""
+    levels = np.array([n for slot in slots for n in slot], np.int64)
+    lengths = FRAMES / (1 << levels)
+    return np.cumsum(lengths) - lengths, levels
+
+
+def _cells(slots: list[list[int]]) -> tuple[Array, Array]:
+    """The slots' and the cells' entries of the decoder's layout."""
+    entries, cells, segment = [], [], 0
+    for slot in slots:
+        deepest = max(slot)
+        entries.append(len(cells) * 8 + deepest)
+        for level in slot:
+            cells += [segment * 8 + level] * (1 << (deepest - level))
+            segment += 1
+    return np.array(entries, np.int64), np.array(cells, np.int64)
 
 
 def segment_offsets(packed: Packed) -> Array:
@@ -219,17 +238,18 @@ def decoder(packed: Packed) -> Decoder:
     around[8] = 1.0  # x, y, z are divided by 1 + w
     around[8, :joints][packed.kinds == FOUR] = 0.0
 
-    slots = refinements(packed.info) if tracks else np.zeros(0, np.int64)
+    slots, cells = _cells(slot_levels(packed.info) if tracks else [])
     masks = _masks(packed, padded, morph_room).ravel()
     slots_at = HEADER + len(masks)
-    offsets_at = slots_at + len(slots)
+    cells_at = slots_at + len(slots)
+    offsets_at = cells_at + len(cells)
     codes, offsets = _run_time_codes(packed, tracks)
     header = np.zeros(HEADER, np.int64)
-    header[:11] = (
-        padded, tracks, frames, morph_room, slots_at, steps_at, scales_at, base_at, before_at, HEADER, offsets_at
+    header[:12] = (
+        padded, tracks, frames, morph_room, slots_at, steps_at, scales_at, base_at, before_at, HEADER, offsets_at,
+        cells_at,
     )  # fmt: skip
-    first = np.cumsum(1 << slots) - (1 << slots)
-    layout = np.concatenate([header, masks, first * 8 + slots, offsets])
+    layout = np.concatenate([header, masks, slots, cells, offsets])
     arrays = (layout, tables, aligned_copy(_book_table(packed.book), np.uint8), codes)
     for array in arrays:
         array.setflags(write=False)
@@ -395,7 +415,7 @@ def from_bytes(data: bytes) -> Packed:
     info = _header(bytes(sections.take(header_size, "u1", "header")))
     joints, morphs, tracks = len(info["joints"]), len(info["morphs"]), info.pop("tracks")
     profiles, morph_tracks = info.pop("profiles"), info.pop("morph_tracks")
-    segments = -(-info["frames"] // FRAMES) + sum((1 << n) - 1 for _, n in info["refined"]) if tracks else 0
+    segments = -(-info["frames"] // FRAMES) + sum(len(n) - 1 for _, n in info["refined"]) if tracks else 0
     size = int(sections.take(1, "<u4", "tables")[0])
     where = sections.at
     length = 3 * joints + 2 * tracks + FRAMES * profiles + segments
@@ -476,6 +496,21 @@ def _inflated(deflated: bytes, most: int, where: int, exact: bool = True) -> byt
     return data
 
 
+def _halves(pair: Any, slots: int) -> bool:
+    """Whether this is a slot and the levels of the segments into which it is halved."""
+    if not isinstance(pair, list) or len(cast(list[Any], pair)) != 2:
+        return False
+    slot, levels = cast(list[Any], pair)
+    if type(slot) is not int or not 0 <= slot < slots or not isinstance(levels, list):
+        return False
+    at, whole = 0, 1 << FINEST
+    for level in cast(list[Any], levels):
+        if type(level) is not int or not 0 < level <= FINEST or at % (whole >> level):
+            return False
+        at += whole >> level
+    return at == whole
+
+
 def _header(deflated: bytes) -> dict[str, Any]:
     where = f"byte {_PREFIX.size}"
     try:
@@ -499,9 +534,8 @@ def _header(deflated: bytes) -> dict[str, Any]:
         raise FormatError(f"header: {info['frames']} frames", where=where)
     slots = -(-info["frames"] // FRAMES)
     for pair in info["refined"]:
-        good = isinstance(pair, list) and len(pair) == 2 and all(type(n) is int for n in pair)
-        if not good or not (0 <= pair[0] < slots and 0 < pair[1] <= FINEST):
-            raise FormatError(f"header: no refinement of a slot: {pair}", where=where)
+        if not _halves(pair, slots):
+            raise FormatError(f"header: no refinement of a slot: {str(pair)[:80]}", where=where)
     if len({slot for slot, _ in info["refined"]}) != len(info["refined"]):
         raise FormatError("header: a slot is refined twice", where=where)
     if not all(isinstance(n, str) for n in (*info["joints"], *info["morphs"])):
