@@ -16,7 +16,7 @@ from keypose.model import Character
 from keypose.samples import load, names, open_scene
 from keypose.samples.human import human
 from keypose.samples.skeleton import bend_axis, hand_axes, rest_positions, roles, skeleton, twist_axis
-from tests.samples.geometry import components, directed_edges, face_normals, open_edges, volume
+from tests.samples.geometry import components, depth_from_front, directed_edges, face_normals, open_edges, volume
 
 PARTS = [part.name for part in human().parts]
 CLOSED = (
@@ -185,6 +185,33 @@ def test_mirror_symmetry(character: Character, name: str) -> None:
     mesh = _part(character, name).mesh
     distance, _ = cKDTree(mesh.positions).query(mesh.positions * np.float32([-1, 1, 1]))
     assert distance.max() < 2e-5
+
+
+def test_hair_is_one_body_without_gaps(character: Character) -> None:
+    """From the back and the sides no skin shows between the crown and the hairline."""
+    mesh = _part(character, "hair").mesh
+    assert components(mesh.triangles, mesh.vertex_count).max() == 0
+    head = _part(character, "head").mesh
+    back, height = np.meshgrid(np.linspace(-0.085, 0.085, 35), np.linspace(1.56, 1.70, 29))
+    places = np.stack([back.ravel(), height.ravel()], 1) + 1.3e-5
+    turned = np.array([-1, 1, -1])
+    hair = depth_from_front(mesh.positions * turned, mesh.triangles, places)
+    skin = depth_from_front(head.positions * turned, head.triangles, places)
+    assert np.all(hair > skin + 0.002)
+    behind, height = np.meshgrid(np.linspace(0.0, 0.11, 23), np.linspace(1.60, 1.70, 21))
+    for side in (1, -1):  # the side's own x runs backwards on the left, forwards on the right
+        seen = np.array([[0, 0, -side], [0, 1, 0], [side, 0, 0]])
+        places = np.stack([side * behind.ravel(), height.ravel()], 1) + 1.3e-5
+        hair = depth_from_front(mesh.positions @ seen.T, mesh.triangles, places)
+        skin = depth_from_front(head.positions @ seen.T, head.triangles, places)
+        assert np.isfinite(skin).sum() > 300
+        assert np.all((hair > skin + 0.002) | np.isinf(skin))
+
+
+def test_colours_are_tints(character: Character) -> None:
+    for part in character.parts:
+        if part.mesh.colors is not None:
+            assert part.mesh.colors.min() >= 0 and part.mesh.colors.max() <= 1
 
 
 # --- weights ---------------------------------------------------------------------------------------------------------

@@ -236,6 +236,42 @@ def test_brows_go_where_they_are_told(character: Character, offsets) -> None:
     assert offsets["browDownLeft"]["brows"][inner, 1].mean() < -0.003
 
 
+@pytest.mark.parametrize("name", ["mouthFunnel", "mouthPucker", "viseme_O", "viseme_U", "viseme_CH", "viseme_RR"])
+def test_rounded_lips_cover_the_teeth(character: Character, offsets, name: str) -> None:
+    """The teeth part and stay behind while the lips come forward."""
+    moved = offsets[name]
+    assert moved["upper_teeth"][:, 1].min() > 0.001 and moved["upper_teeth"][:, 2].max() < -0.001
+    assert moved["lower_teeth"][:, 1].max() < -0.001
+    head = _points(character, "head")
+    lip = np.argmin(np.linalg.norm(head - [0.0, MOUTH_Y + 0.003, head[:, 2].max()], axis=1))
+    assert moved["head"][lip, 2] > 0.003
+
+
+def test_an_open_o_is_round(character: Character, posed) -> None:
+    """The opening of "O" is about as high as it is wide."""
+    vertices = posed(morphs={"viseme_O": 1.0})
+    step = 0.0008
+    x, y = np.meshgrid(np.arange(-0.025, 0.025, step), np.arange(MOUTH_Y - 0.035, MOUTH_Y + 0.018, step))
+    places = np.stack([x.ravel(), y.ravel()], 1) + 1.3e-5
+    triangles = {p.name: p.mesh.triangles for p in character.parts}
+    skin = depth_from_front(vertices["head"], triangles["head"], places)
+    inside = depth_from_front(vertices["mouth"], triangles["mouth"], places)
+    hole = (inside > skin).reshape(x.shape)
+    wide, high = np.sum(hole.any(0)), np.sum(hole.any(1))
+    assert 0.7 < wide / high < 1.5
+    assert hole.sum() / (wide * high) > 0.7, "an ellipse fills 0.785 of its box, a triangle 0.5"
+
+
+def test_lashes_lie_along_the_closed_lids(character: Character, posed) -> None:
+    """No tick stands out beyond the corners of a closed eye."""
+    closed = posed(morphs={"eyeBlinkLeft": 1.0})["lashes"]
+    rest = posed()["lashes"]
+    left = rest[:, 0] > 0
+    end = left & (rest[:, 0] > EYE_CENTRE[0] + 0.022)
+    assert closed[end, 0].max() < rest[end, 0].max() - 0.001
+    assert np.ptp(closed[left, 1]) < 0.65 * np.ptp(rest[left, 1])
+
+
 def test_tongue_comes_out(character: Character, offsets) -> None:
     tip = np.argmax(_points(character, "tongue")[:, 2])
     assert offsets["tongueOut"]["tongue"][tip, 2] > 0.03

@@ -15,7 +15,7 @@ from keypose.samples.human_features import Piece
 from keypose.samples.human_head import HeadMesh
 from keypose.samples.shapes import smoothstep
 from keypose.samples.skeleton import enlarged, head_scale, rest_positions, roles, skeleton
-from keypose.samples.subdivision import Surface, mirrored_name, subdivide
+from keypose.samples.subdivision import Surface, mirrored_name, subdivide, triangulated
 
 NAME = "Robin"
 
@@ -41,7 +41,7 @@ MATERIALS = {
     "turn_ups": Material("turn_ups", _srgb("6C80AC"), roughness=0.88),
     "sneakers": Material("sneakers", _srgb("E2603F"), roughness=0.6),
     "rubber": Material("rubber", _srgb("F4EEE2"), roughness=0.55),
-    "hair": Material("hair", _srgb("5B2F22"), roughness=0.5),
+    "hair": Material("hair", _srgb("643527"), roughness=0.5),
     "brows": Material("brows", _srgb("4A261C"), roughness=0.7),
     "lashes": Material("lashes", _srgb("2A1714"), roughness=0.6),
     "eyes": Material("eyes", (1.0, 1.0, 1.0, 1.0), roughness=0.12),
@@ -65,15 +65,6 @@ _GROUPS = {  # group of a cage -> part, material
     "trim": ("sneaker_trim", "rubber"),
     "skin": ("hands", "skin"),
 }
-
-
-def triangulated(quads: Ints, points: Floats) -> Ints:
-    """Two triangles per quad, split along the shorter diagonal."""
-    a, b, c, d = (points[quads[:, i]] for i in range(4))
-    short = np.sum((a - c) ** 2, 1) <= np.sum((b - d) ** 2, 1) * (1 + 1e-9)
-    first = np.where(short[:, None], quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
-    second = np.where(short[:, None], quads[:, [0, 2, 3]], quads[:, [1, 2, 3]])
-    return np.stack([first, second], 1).reshape(-1, 3)
 
 
 def vertex_normals(points: Floats, triangles: Ints) -> Floats:
@@ -260,17 +251,20 @@ def _piece_part(name: str, material: str, pieces: list[Piece], moves: Floats | N
     points = enlarged(whole.points)
     if moves is not None:
         moves = moves * head_scale(whole.points)
-    normals = _soft_normals(points, whole.triangles) if name == "hair" else None
-    return _part(name, material, points, whole.triangles, weights, normals, whole.colors, moves=moves)
+    return _part(name, material, points, whole.triangles, weights, None, whole.colors, moves=moves)
 
 
-def _soft_normals(points: Floats, triangles: Ints) -> Floats:
-    """Normals of hair: leant away from the skull, so that the locks read as one volume instead of many rims."""
+def _soft_normals(points: Floats, triangles: Ints, shown: Ints) -> Floats:
+    """Normals of hair: leant away from the skull, so that the locks read as one volume; what is turned in at the
+    border does not bend those of what is ``shown`` (V,; 0 or 1)."""
+    outside = vertex_normals(points, triangles[np.all(shown[triangles] > 0, axis=1)])
     normals = vertex_normals(points, triangles)
+    normals = np.where(shown[:, None] > 0, 0.65 * outside + 0.35 * normals, normals)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     out = points - enlarged(np.array([0.0, 1.565, -0.015]))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     lean = smoothstep(-0.55, 0.05, np.sum(normals * out, 1))
-    normals = normals + lean[:, None] * out
+    normals = normals + (lean * shown)[:, None] * out
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
@@ -346,8 +340,10 @@ def human() -> Character:
     parts.append(
         _part("ears", "skin", enlarged(ear_points), ear_triangles, _dense({"Head": 1}, len(ear_points)), colors=tint)
     )
-    points, triangles, shade = human_hair.hair()
-    parts.append(_piece_part("hair", "hair", [Piece(points, triangles, {"Head": 1.0}, shade)]))
+    points, triangles, shade, shown = human_hair.hair()
+    points = enlarged(points)
+    normals = _soft_normals(points, triangles, shown)
+    parts.append(_part("hair", "hair", points, triangles, _dense({"Head": 1}, len(points)), normals, shade))
     return Character(skeleton(), tuple(parts), NAME, MORPHS, roles=roles())
 
 

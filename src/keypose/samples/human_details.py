@@ -7,7 +7,7 @@ import numpy as np
 from keypose.arrays import Floats, Ints
 from keypose.samples.human_features import tube
 from keypose.samples.skeleton import rest_positions
-from keypose.samples.subdivision import Surface
+from keypose.samples.subdivision import Surface, triangulated
 
 Detail = tuple[Floats, Ints, Floats]  # points, triangles, dense weights
 
@@ -16,7 +16,7 @@ def _landing(cloth: Surface, at: Floats, axis: int, side: int = 1) -> tuple[Floa
     """Where lines along ``axis`` (2: from the front, 1: from above; ``side`` -1: from the back) through ``at`` (N, 3)
     meet the cloth first: the points (N, 3) and their weights (N, J)."""
     plane = [i for i in range(3) if i != axis]
-    triangles = np.concatenate([cloth.quads[:, [0, 1, 2]], cloth.quads[:, [0, 2, 3]]])
+    triangles = triangulated(cloth.quads, cloth.points)
     corners = cloth.points[triangles]
     a, b, c = (corners[:, i][:, plane] for i in range(3))
     p = at[:, None, plane]

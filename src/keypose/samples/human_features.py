@@ -64,7 +64,7 @@ def mirrored_piece(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 def eyeball(side: int) -> Piece:
     """An eyeball with pupil, iris and limbal ring as colours on its own loops; it looks along +Z."""
     around = 24
-    degrees = np.array([14.4, 15.0, 21.0, 29.0, 32.0, 34.0, 35.4, 50.0, 96.0])
+    degrees = np.array([15.2, 15.8, 22.5, 31.0, 34.4, 36.4, 37.8, 52.0, 96.0])
     colors = [PUPIL, IRIS_DARK, IRIS_DARK, IRIS_DARK, LIMBUS, LIMBUS, *[SCLERA] * 3]
     polar = np.deg2rad(degrees)[:, None]
     azimuth = (np.arange(around) * 2 * np.pi / around)[None, :]

@@ -51,8 +51,9 @@ def _parting(angle: Floats) -> Floats:
     return slit / np.linalg.norm(slit, axis=1, keepdims=True)
 
 
-def hair() -> tuple[Floats, Ints, Floats]:
-    """Points, triangles and tints (V, 3) of the hair: darker in the grooves and underneath."""
+def hair() -> tuple[Floats, Ints, Floats, Ints]:
+    """Points, triangles, tints (V, 3; darker in the grooves) of the hair, and 1 for each vertex that is not
+    turned in (V,)."""
     from scipy.interpolate import PchipInterpolator
 
     locks = len(_WIDTHS)
@@ -127,8 +128,9 @@ def hair() -> tuple[Floats, Ints, Floats]:
 
     tint = 1.0 + 0.16 * np.clip(relief, -1, 1) * smoothstep(0.0, 0.2, u)
     tint = tint * (0.72 + 0.28 * smoothstep(0.0, 0.14, u)) * (1 + 0.10 * smoothstep(0.6, 1.0, u))
-    tint = np.vstack([tint, np.full((2, strips), 0.5)])
-    return flat, faces, np.repeat(np.clip(tint, 0, 1.3).reshape(-1, 1), 3, axis=1)
+    tint = np.vstack([tint / np.max(tint), np.full((2, strips), 0.25)])
+    shown = (np.arange(len(flat)) < len(share) * strips).astype(np.int64)
+    return flat, faces, np.repeat(tint.reshape(-1, 1), 3, axis=1), shown
 
 
 def _lid(ring: Ints) -> Ints:

@@ -90,6 +90,15 @@ class Surface:
     weights: Floats
 
 
+def triangulated(quads: Ints, points: Floats) -> Ints:
+    """Two triangles per quad, split along the shorter diagonal."""
+    a, b, c, d = (points[quads[:, i]] for i in range(4))
+    short = np.sum((a - c) ** 2, 1) <= np.sum((b - d) ** 2, 1) * (1 + 1e-9)
+    first = np.where(short[:, None], quads[:, [0, 1, 2]], quads[:, [0, 1, 3]])
+    second = np.where(short[:, None], quads[:, [0, 2, 3]], quads[:, [1, 2, 3]])
+    return np.stack([first, second], 1).reshape(-1, 3)
+
+
 def subdivide(cage: Cage, joint_names: Sequence[str], levels: int = 1) -> Surface:
     """The Catmull-Clark surface through the cage's points, on the limit surface of ``levels`` subdivisions.
 
