@@ -14,6 +14,7 @@ from keypose.bench import data
 from keypose.bench.suite import Result, Suite
 from keypose.kernels.decode import FRAME_COUNT, decode_pose, frame_at
 from keypose.kernels.runtime import aligned, kernel
+from keypose.kernels.vectors import pointer
 from keypose.model import Motion, Pose, Skeleton
 
 # N. Frechette, "Animation Compression Library", results on the CMU database: ratio at an error of 0.01 cm asked for.
@@ -55,9 +56,12 @@ def _compression(suite: Suite) -> None:
 
 @kernel
 def _decode_all(layout, tables, book, codes, start_s, rate_hz, times_s, sums, out):
+    frames = layout[FRAME_COUNT]
+    clip = (pointer(layout), pointer(tables), pointer(book), pointer(codes))
+    sums_at, out_at = pointer(sums), pointer(out)
     for n in range(times_s.shape[0]):
-        frame, share = frame_at(times_s[n], start_s, rate_hz, layout[FRAME_COUNT], False)
-        decode_pose(layout, tables, book, codes, frame, share, sums, out, 0)
+        frame, share = frame_at(times_s[n], start_s, rate_hz, frames, False)
+        decode_pose(clip, frame, share, sums_at, out_at, 0)
 
 
 def _decompression(suite: Suite) -> None:

@@ -171,26 +171,26 @@ def sum_tracks(layout, tables, book, codes, segment, weights, again, sums):
     tracks = layout[TRACKS]
     profiles = layout[layout[OFFSETS] + segment]
     start = profiles + tracks
-    tables_at, book_at, codes_at, sums_at = pointer(tables), pointer(book), pointer(codes), pointer(sums)
     steps = layout[STEPS]
     for track in range(0, tracks, FRAMES):
-        a, start = _eight(codes_at, profiles + track, start, book_at, weights)
-        b, start = _eight(codes_at, profiles + track + 8, start, book_at, weights)
-        total = _join_2(a, b) * load_sixteen(tables_at, steps + track)
+        a, start = _eight(codes, profiles + track, start, book, weights)
+        b, start = _eight(codes, profiles + track + 8, start, book, weights)
+        total = _join_2(a, b) * load_sixteen(tables, steps + track)
         if again:
-            total = total + load_sixteen(sums_at, track)
-        store(sums_at, track, total)
+            total = total + load_sixteen(sums, track)
+        store(sums, track, total)
 
 
 @inlined
-def decode_pose(layout, tables, book, codes, frame, share, sums, out, at):
+def decode_pose(clip, frame, share, sums, out, at):
     """The pose between two frames, in rows from ``out[at]``; for use inside kernels.
 
-    ``frame`` must be one of the clip's; ``share`` (0 to 1) is how much of the frame after it is mixed in, and is only
+    ``clip`` is (layout, tables, book, codes); these, ``sums`` and ``out`` are pointers (`vectors.pointer`), for which Numba
+    counts no references. ``frame`` must be one of the clip's; ``share`` (0 to 1) is how much of the frame after it is mixed in, and is only
     looked at where there is one. All rows and morph weights are written.
     """
+    layout, tables, book, codes = clip
     padded = layout[PADDED]
-    tables_at, out_at, sums_at = pointer(tables), pointer(out), pointer(sums)
     if layout[TRACKS] > 0:
         slot = frame // FRAMES
         entry = layout[layout[SLOTS] + slot]
@@ -207,40 +207,40 @@ def decode_pose(layout, tables, book, codes, frame, share, sums, out, at):
         scales = layout[SCALES]
         scale = tables[scales + segment]
         mixed = frame + 1 < layout[FRAME_COUNT]
-        weights = load_sixteen(tables_at, row)
+        weights = load_sixteen(tables, row)
         if mixed:
             weights = weights * ((1 - share) * scale)
             if local < FRAMES - 1:
-                weights = weights + load_sixteen(tables_at, row + FRAMES) * (share * scale)
+                weights = weights + load_sixteen(tables, row + FRAMES) * (share * scale)
         else:
             weights = weights * scale
         sum_tracks(layout, tables, book, codes, segment, weights, False, sums)
         if mixed and local == FRAMES - 1 and share > 0:
-            weights = load_sixteen(tables_at, 0) * (share * tables[scales + segment + 1])
+            weights = load_sixteen(tables, 0) * (share * tables[scales + segment + 1])
             sum_tracks(layout, tables, book, codes, segment + 1, weights, True, sums)
     base, masks = layout[BASE], layout[MASKS]
     for k in range(0, padded * ROWS + layout[MORPHS], FRAMES):
         bits = layout[masks]
         if bits:
-            store(out_at, at + k, expand(sums_at, layout[masks + 1], bits, tables_at, base + k))
+            store(out, at + k, expand(sums, layout[masks + 1], bits, tables, base + k))
         else:
-            store(out_at, at + k, load_sixteen(tables_at, base + k))
+            store(out, at + k, load_sixteen(tables, base + k))
         masks += 2
     before = layout[BEFORE]
     after, complete = before + 4 * padded, before + 8 * padded
     for j in range(0, padded, lanes(tables)):
-        w, x, y, z = load4(out_at, at + j, padded)
+        w, x, y, z = load4(out, at + j, padded)
         square = x * x + y * y + z * z
-        rational = load(tables_at, complete + j)
+        rational = load(tables, complete + j)
         w = w + rational * (1.0 - square)
         double = 1.0 + rational
         x, y, z = x * double, y * double, z * double
         length = rsqrt(w * w + x * x + y * y + z * z)
-        aw, ax, ay, az = load4(tables_at, before + j, padded)
-        bw, bx, by, bz = load4(tables_at, after + j, padded)
+        aw, ax, ay, az = load4(tables, before + j, padded)
+        bw, bx, by, bz = load4(tables, after + j, padded)
         w, x, y, z = quat_multiply(aw, ax, ay, az, w * length, x * length, y * length, z * length)
         w, x, y, z = quat_multiply(w, x, y, z, bw, bx, by, bz)
-        store4(out_at, at + j, padded, w, x, y, z)
+        store4(out, at + j, padded, w, x, y, z)
 
 
 @inlined
@@ -260,9 +260,11 @@ def decode_at(layout, tables, book, codes, start_s, rate_hz, loop, times_s, sums
     """Poses at many times, one after another in ``out``."""
     frames = layout[FRAME_COUNT]
     stride = layout[PADDED] * ROWS + layout[MORPHS]
+    clip = (pointer(layout), pointer(tables), pointer(book), pointer(codes))
+    sums_at, out_at = pointer(sums), pointer(out)
     for n in range(times_s.shape[0]):
         frame, share = frame_at(times_s[n], start_s, rate_hz, frames, loop)
-        decode_pose(layout, tables, book, codes, frame, share, sums, out, n * stride)
+        decode_pose(clip, frame, share, sums_at, out_at, n * stride)
 
 
 @kernel
@@ -271,9 +273,11 @@ def decode_to(
 ):
     """Poses at many times as (N, J, 4), (N, J, 3), (N, J, 3) and (N, M); ``room`` holds the rows of one pose."""
     frames, padded = layout[FRAME_COUNT], layout[PADDED]
+    clip = (pointer(layout), pointer(tables), pointer(book), pointer(codes))
+    sums_at, room_at = pointer(sums), pointer(room)
     for n in range(times_s.shape[0]):
         frame, share = frame_at(times_s[n], start_s, rate_hz, frames, loop)
-        decode_pose(layout, tables, book, codes, frame, share, sums, room, 0)
+        decode_pose(clip, frame, share, sums_at, room_at, 0)
         for j in range(rotations.shape[1]):
             for k in range(4):
                 rotations[n, j, k] = room[k * padded + j]
