@@ -42,7 +42,7 @@ def render_files(
         theme=theme,
         skeleton=skeleton,
         backend=backend,
-        **({"sheet_frames": sheet} if sheet else {}),
+        sheet_frames=sheet or 12,
     )
     scene = combine(inputs, open_inputs(inputs, unit=unit, up=up))
     with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
