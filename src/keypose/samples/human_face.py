@@ -38,7 +38,7 @@ _BOTH = ("mouthPress", "mouthUpperUp", "mouthLowerDown", "mouthStretch", "mouthS
 VISEMES: dict[str, dict[str, float]] = {
     "viseme_sil": {"mouthPress": 0.15},
     "viseme_PP": {"mouthPress": 0.8, "mouthRollUpper": 0.45, "mouthRollLower": 0.45, "mouthPucker": 0.08},
-    "viseme_FF": {"jawOpen": 0.07, "mouthRollLower": 0.8, "mouthUpperUp": 0.55, "mouthShrugLower": 0.35},
+    "viseme_FF": {"jawOpen": 0.07, "mouthRollLower": 0.8, "mouthUpperUp": 0.42, "mouthShrugLower": 0.35},
     "viseme_TH": {"jawOpen": 0.20, "tongueUp": 0.6, "tongueOut": 0.42, "mouthUpperUp": 0.3, "mouthLowerDown": 0.35},
     "viseme_DD": {"jawOpen": 0.17, "tongueUp": 1.0, "mouthUpperUp": 0.3, "mouthLowerDown": 0.45},
     "viseme_kk": {"jawOpen": 0.26, "mouthUpperUp": 0.3, "mouthLowerDown": 0.3, "mouthStretch": 0.15},

@@ -159,7 +159,7 @@ def teeth(upper: bool) -> Piece:
     mix = smoothstep(0.05, 0.25, down)[:, None]
     # They stand in the lips' shadow: darker towards the gum and the corners.
     side = np.append(np.repeat(np.abs(u), len(profile)), [1.0, 1.0])
-    shade = (1 - 0.62 * smoothstep(0.25, 1.0, side)) * (0.62 + 0.38 * smoothstep(0.1, 1.0, down))
+    shade = (1 - (0.62 if upper else 0.92) * smoothstep(0.25, 1.0, side)) * (0.62 + 0.38 * smoothstep(0.1, 1.0, down))
     tint = (gum * (1 - mix) + enamel * mix) * shade[:, None]
     return Piece(points, triangles, {"Head" if upper else "Jaw": 1.0}, tint)
 
