@@ -20,7 +20,7 @@ from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.io.compiled import load_compiled, save_compiled
 from keypose.math import quat
 from keypose.model import Channel, Clip, Curve, CurveKind, Event, Interpolation, Motion, Pose, Property, Skeleton
-from keypose.play import store
+from keypose.play import clipfile, store
 from keypose.samples import performances
 from keypose.samples import skeleton as samples_skeleton
 
@@ -403,7 +403,7 @@ def test_a_forged_header_is_refused_with_the_place(waves: Any) -> None:
     ):  # fmt: skip
         forged = replace(packed, info={**packed.info, **change})
         with pytest.raises(FormatError) as caught:
-            play.from_bytes(store.to_bytes(forged))
+            play.from_bytes(clipfile.to_bytes(forged))
         assert caught.value.where
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from keypose.errors import FormatError
 from keypose.io.atomic import replacing
 from keypose.play import CompiledClip, from_bytes, to_bytes
-from keypose.play.store import MAGIC
+from keypose.play.clipfile import MAGIC
 
 SUFFIX = ".kpclip"
 _HEAD = 32

@@ -9,7 +9,7 @@ each with a bit width of its own, which a *profile* lists. Sampling is linear in
 or of a mixture of two, are one row of 16 numbers, and a track costs one unpacking, one product and one sum, with the
 coefficients in the lanes. Rotations are finished with joints in the lanes.
 
-Layout of the arrays (all made by `keypose.play.store`; tracks are sorted by row, then by joint)
+Layout of the arrays (all made by `keypose.play.store.decoder`; tracks are sorted by row, then by joint)
     layout   int64    HEADER numbers; per row and block of 16 joints which have a track (bits) and the first of these
                       tracks; the same per block of morphs; per slot 8 times its first cell plus its deepest level n (it
                       has 2 ** n cells); per cell 8 times its segment plus the segment's level; the byte offset of each

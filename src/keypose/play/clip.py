@@ -13,8 +13,8 @@ from keypose.arrays import Array
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.evaluate import key_rate, match, sample_clip, sample_morphs, sample_motion
 from keypose.model import Clip, Event, Motion, Pose, Property, Skeleton
-from keypose.play import compress, store
-from keypose.play.compress import Budget, Frames
+from keypose.play import clipfile, compress, store
+from keypose.play.proof import Budget, Frames, decode_frames
 from keypose.play.store import Decoder, Packed
 
 _USUAL_HZ = 60.0
@@ -206,7 +206,7 @@ def sample_rows(clip: CompiledClip, times_s: Array | float, *, loop: bool | None
 
 def to_bytes(clip: CompiledClip) -> bytes:
     """The clip as the bytes of a file; the same clip always gives the same bytes."""
-    return store.to_bytes(clip.packed)
+    return clipfile.to_bytes(clip.packed)
 
 
 def from_bytes(data: bytes) -> CompiledClip:
@@ -215,13 +215,13 @@ def from_bytes(data: bytes) -> CompiledClip:
     Raises:
         FormatError: where they are no compiled clip, of another version, changed or cut; it names the place.
     """
-    packed = store.from_bytes(data)
+    packed = clipfile.from_bytes(data)
     try:
         return _compiled(packed, len(data))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError(f"the header does not hold together: {error}", where=f"byte {store.HEADER_AT}") from None
+        raise FormatError(f"the header does not hold together: {error}", where=f"byte {clipfile.HEADER_AT}") from None
 
 
 def _compiled(packed: Packed, byte_count: int | None = None) -> CompiledClip:
@@ -239,7 +239,7 @@ def _compiled(packed: Packed, byte_count: int | None = None) -> CompiledClip:
         float(info["shell_m"]),
         CompileError(float(error["max_m"]), str(error["joint"]), float(error["time_s"]), float(error["ratio"])),
         tuple(Event(float(time_s), str(name), str(data)) for time_s, name, data in info["events"]),
-        len(store.to_bytes(packed)) if byte_count is None else byte_count,
+        len(clipfile.to_bytes(packed)) if byte_count is None else byte_count,
         packed,
         store.decoder(packed),
     )
@@ -255,7 +255,7 @@ def _checked_times(times_s: Array | float) -> Array:
 def _decoded(clip: CompiledClip, times_s: Array | float, loop: bool | None) -> tuple[Frames, tuple[int, ...]]:
     times = _checked_times(times_s)
     wraps = clip.loop if loop is None else loop
-    return compress.decode_frames(clip.packed, clip.decoder, times.ravel(), wraps), times.shape
+    return decode_frames(clip.packed, clip.decoder, times.ravel(), wraps), times.shape
 
 
 # --- the source ---------------------------------------------------------------------------------------------------------

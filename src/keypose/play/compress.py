@@ -3,75 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from keypose.arrays import Array
-from keypose.math import quat
 from keypose.model import Skeleton
 from keypose.play import store
-from keypose.play.store import CONSTANT, EXACT, FOUR, FRAMES, IDENTITY, THREE, Packed, cosines
+from keypose.play.plan import Rig, exactness, mixed_rotations, on_one_side, plan
+from keypose.play.proof import CHECKS_PER_FRAME, Budget, Frames, Measured, check_times, decode_frames, measure
+from keypose.play.store import FRAMES, Packed, cosines
 
-# Shares of the tolerance: what a number may move and still count as constant, and what frames aim at.
-_STILL = 0.02
-_GOAL = 0.97
-_STRAIGHT = 0.8
-# A rotation is stored as x, y, z / (1 + w) around its mean where w never gets smaller than this,
-_LEAST_W = 0.1
-# and where its straight way between frames bends by less than this share of the tolerance.
-_BEND = 0.3
-_BENT_SHARES = (0.99, 1.0)  # of all frames, that are looked at for it
+_GOAL = 0.97  # share of the tolerance that frames aim at
+_STRAIGHT = 0.8  # and that the straight way between exact frames may take
+_BENT_SHARES = (0.99, 1.0)  # of all frames, that are looked at to choose between three and four numbers
 _LOWEST_SCALE, _LUCKY = -100, 4
 _PROFILES = 255
 _TUNED_SEGMENTS, _TUNING = 10, (1.0, 0.5, 0.5)
 _CODED_SHARE = 0.85  # of the coefficients take bits; what a finer step costs
-_CHECKS_PER_FRAME = 4
 _REPAIRS = 10
 _CHUNK = 2048  # poses compared at a time
-
-
-class Frames(NamedTuple):
-    """Local transforms (F, J, ...) and morph weights (F, M), float64."""
-
-    rotations: Array
-    translations: Array
-    scales: Array
-    weights: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Budget:
-    """What the compiled clip may be off by."""
-
-    tolerances_m: Array  # (J,)
-    shell_m: float
-    weight_tolerance: float
-
-
-class Measured(NamedTuple):
-    """The largest error of all times that were looked at, relative to what is allowed."""
-
-    ratio: float
-    error_m: float
-    joint: int  # -1 where a morph weight is worst
-    time_s: float
-
-
-class Rig(NamedTuple):
-    """What the kernels know of a clip; see `keypose.kernels.encode.encode_segment`."""
-
-    parents: Array
-    kinds: Array
-    before: Array
-    after: Array
-    base: Array
-    rotation_tracks: Array
-    other_tracks: Array
-    child_starts: Array
-    children: Array
-    weight_tracks: Array
 
 
 def encode(
@@ -86,7 +37,7 @@ def encode(
     closed = bool(np.all(np.abs(frames.scales - 1) < 1e-9))
     parents = np.asarray(skeleton.parents, np.int64)
     # A jump between two frames wants either finer slots or more joints with four numbers: take what codes fewer tracks.
-    plans = [_plan(parents, frames, closed, budget, share) for share in _BENT_SHARES]
+    plans = [plan(parents, frames, closed, budget, share) for share in _BENT_SHARES]
     refined = [_slots(skeleton, rig, truth, times_s, budget) for rig, _ in plans]
     sizes = [sum(map(len, slots)) * len(steps) for slots, (_, steps) in zip(refined, plans, strict=True)]
     best = int(np.argmin(sizes))
@@ -97,7 +48,7 @@ def encode(
     coder.compress()
     real = fine[: int(np.argmax(fine >= times_s[-1])) + 1]
     times = check_times(real)
-    sample_of = np.minimum(np.arange(len(times)) // _CHECKS_PER_FRAME, len(real) - 1)
+    sample_of = np.minimum(np.arange(len(times)) // CHECKS_PER_FRAME, len(real) - 1)
     segment_of, following = sample_of // FRAMES, np.minimum(sample_of + 1, len(real) - 1) // FRAMES
     ratio, error, joint = np.zeros(len(times)), np.zeros(len(times)), np.zeros(len(times), np.int64)
     pending = np.arange(len(times))
@@ -106,7 +57,7 @@ def encode(
         decoder = store.decoder(packed)
         for start in range(0, len(pending), _CHUNK):
             some = pending[start : start + _CHUNK]
-            ratio[some], error[some], joint[some] = _measure(
+            ratio[some], error[some], joint[some] = measure(
                 skeleton, decode_frames(packed, decoder, times[some], False), truth(times[some]), budget
             )
         bad = ratio > 1.0
@@ -119,42 +70,11 @@ def encode(
     return packed, Measured(float(ratio[worst]), float(np.max(error)), int(joint[worst]), float(times[worst]))
 
 
-def _measure(skeleton: Skeleton, decoded: Frames, true: Frames, budget: Budget) -> tuple[Array, Array, Array]:
-    """Per pose the error relative to the budget, in metres, and the joint where it is (-1: a morph weight)."""
-    off_m, off_weights = errors(skeleton, decoded, true, budget)
-    relative = off_m / budget.tolerances_m
-    rows = np.arange(len(off_m))
-    joint = np.argmax(relative, axis=1)
-    ratio, error = relative[rows, joint], off_m[rows, joint]
-    if off_weights.shape[1]:
-        worst = np.max(off_weights, axis=1) / budget.weight_tolerance
-        joint = np.where(worst > ratio, -1, joint)
-        ratio = np.maximum(ratio, worst)
-    return ratio, error, joint
-
-
 def _fine_times(times_s: Array, slots: list[list[int]]) -> Array:
     """Times of all samples of all segments, (16 each); after the end the last one again."""
     starts, levels = store.segment_starts(slots)
     positions = starts[:, None] + np.arange(FRAMES) / (1 << levels)[:, None]
     return np.interp(positions.ravel(), np.arange(len(times_s)), times_s)
-
-
-def _mixed_rotations(rig: Rig, a: Array, b: Array, share: float) -> Array:
-    """Rotations (F, J, 4) as the decoder mixes exact frames."""
-    mixed = quat.nlerp(a, b, np.full(a.shape[:-1], share))
-    three = np.nonzero(rig.kinds == THREE)[0]
-    before, after = quat.conjugate(rig.before[three]), quat.conjugate(rig.after[three])
-    short: list[Array] = []
-    for q in (a, b):
-        coded = quat.multiply(quat.multiply(before, q[:, three]), after)
-        coded = coded * np.where(coded[..., :1] < 0, -1.0, 1.0)
-        short.append(coded[..., 1:] / (1 + coded[..., :1]))
-    middle = short[0] + share * (short[1] - short[0])
-    square = np.sum(middle**2, axis=-1, keepdims=True)
-    coded = np.concatenate([1 - square, 2 * middle], axis=-1) / (1 + square)
-    mixed[:, three] = quat.multiply(quat.multiply(rig.before[three], coded), rig.after[three])
-    return mixed
 
 
 def _slots(
@@ -195,9 +115,9 @@ def _missed(skeleton: Skeleton, rig: Rig, truth: Callable[[Array], Frames], time
         a = [f[:, :-1].reshape(middle.size, *f.shape[2:]) for f in split]
         b = [f[:, 1:].reshape(middle.size, *f.shape[2:]) for f in split]
         mixed = Frames(
-            _mixed_rotations(rig, a[0], b[0], share), *(x + share * (y - x) for x, y in zip(a[1:], b[1:], strict=True))
+            mixed_rotations(rig, a[0], b[0], share), *(x + share * (y - x) for x, y in zip(a[1:], b[1:], strict=True))
         )
-        ratio, _, _ = _measure(skeleton, mixed, truth(middle.ravel()), budget)
+        ratio, _, _ = measure(skeleton, mixed, truth(middle.ravel()), budget)
         worst = np.maximum(worst, ratio.reshape(len(times), -1).max(axis=1))
     return worst
 
@@ -221,8 +141,8 @@ class _Coder:
         count, joints = frames.rotations.shape[:2]
         self.segments = count // FRAMES
         parents = rig.parents
-        self.frames, self.rig, self.steps = frames._replace(rotations=_on_one_side(rig, frames.rotations)), rig, steps
-        self.constants = _exactness(self.rig, self.frames, parents, budget)
+        self.frames, self.rig, self.steps = frames._replace(rotations=on_one_side(rig, frames.rotations)), rig, steps
+        self.constants = exactness(self.rig, self.frames, parents, budget)
         world = np.empty_like(self.frames.rotations)
         matrices = np.empty((self.segments * FRAMES, joints, 12))
         model_matrices(parents, *self.frames[:3], world, matrices)
@@ -369,161 +289,6 @@ class _Coder:
                         break
 
 
-def _plan(parents: Array, frames: Frames, closed: bool, budget: Budget, share: float) -> tuple[Rig, Array]:
-    """Which numbers move, what they move around, and steps to start from (powers of 2 ** (1 / 4))."""
-    _, translations, scales, weights = frames
-    rotations = quat.align_signs(frames.rotations, axis=0)
-    joints = len(parents)
-    reach, bone = _reaches(parents, translations, scales, budget.shell_m)
-    tolerance = budget.tolerances_m
-    strictest = tolerance.copy()  # of a joint and all below it
-    for j in range(joints - 1, -1, -1):
-        if parents[j] >= 0:
-            strictest[parents[j]] = min(strictest[parents[j]], strictest[j])
-    kinds = np.zeros(joints, np.int64)
-    before, after = np.tile([1.0, 0, 0, 0], (joints, 1)), np.tile([1.0, 0, 0, 0], (joints, 1))
-    base = np.concatenate([translations[0], scales[0]], axis=1)
-    rotation_tracks, other_tracks = np.full((joints, 4), -1, np.int64), np.full((joints, 6), -1, np.int64)
-    steps: list[float] = []
-
-    def track(step: float) -> int:
-        steps.append(step)
-        return len(steps) - 1
-
-    for j in range(joints):
-        for k in range(6):
-            values = translations[:, j, k] if k < 3 else scales[:, j, k - 3]
-            size = 1.0 if k < 3 else reach[j]
-            if np.ptp(values) * size > _STILL * strictest[j]:
-                other_tracks[j, k] = track(0.25 * strictest[j] / size)
-                base[j, k] = (np.max(values) + np.min(values)) / 2 if k < 3 else base[j, k]
-            elif values[0] != 0:
-                base[j, k] = (np.max(values) + np.min(values)) / 2
-        mean = _mean_rotation(rotations[:, j])
-        coded = quat.multiply(quat.conjugate(mean), rotations[:, j])
-        if coded[0, 0] < 0:
-            rotations[:, j], coded = -rotations[:, j], -coded
-        if np.max(np.linalg.norm(coded[:, 1:], axis=1)) * 2 * reach[j] < _STILL * strictest[j]:
-            same = np.all(rotations[:, j] == rotations[0, j])
-            before[j] = rotations[0, j] if same else mean
-            continue
-        axes = _main_axes(coded[:, 1:])
-        # As the file stores them, so that the encoder sees what the decoder will.
-        after[j] = _stored(quat.conjugate(axes))
-        before[j] = _stored(quat.multiply(mean, quat.conjugate(after[j])))
-        coded = quat.multiply(quat.multiply(quat.conjugate(before[j]), rotations[:, j]), quat.conjugate(after[j]))
-        if coded[0, 0] < 0:  # what is stored has lost its sign
-            rotations[:, j], coded = -rotations[:, j], -coded
-        # An error e in x, y, z turns by 2 e; closed loop, only the next joints feel it.
-        step = 0.2 * strictest[j] / (2 * (bone[j] if closed else reach[j]))
-        swing = float(np.max(np.linalg.norm(coded[:, 1:], axis=1)))
-        if np.min(coded[:, 0]) < _LEAST_W or _bend(coded, share) * 2 * reach[j] > _BEND * strictest[j]:
-            kinds[j] = FOUR  # an error of w turns by less, as far as w is near one
-            rotation_tracks[j] = [track(step / np.clip(swing, 1 / 16, 1)), *(track(step) for _ in range(3))]
-            continue
-        kinds[j] = THREE
-        for k in range(1, 4):
-            if np.max(np.abs(coded[:, k])) * 2 * reach[j] > _STILL * strictest[j]:
-                rotation_tracks[j, k] = track(step / 2)
-        if np.all(rotation_tracks[j] < 0):
-            rotation_tracks[j, 1] = track(step / 2)
-    weight_tracks = np.full(weights.shape[1], -1, np.int64)
-    for m in range(weights.shape[1]):
-        if np.ptp(weights[:, m]) > _STILL * budget.weight_tolerance:
-            weight_tracks[m] = track(0.5 * budget.weight_tolerance)
-    base = base.astype(np.float32).astype(np.float64)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(parents[parents >= 0], minlength=joints))]).astype(np.int64)
-    children = np.append(np.argsort(np.where(parents < 0, joints, parents), kind="stable"), 0).astype(np.int64)
-    rig = Rig(parents, kinds, before, after, base, rotation_tracks, other_tracks, starts, children, weight_tracks)
-    rounded = 2.0 ** (np.rint(np.log2(np.array(steps, np.float64)) * 4) / 4)
-    # Tracks are stored by row, then by joint.
-    order = np.concatenate([rotation_tracks.T.ravel(), other_tracks.T.ravel(), weight_tracks])
-    order = order[order >= 0]
-    number = np.full(len(order) + 1, -1, np.int64)
-    number[order] = np.arange(len(order))
-    for table in (rotation_tracks, other_tracks, weight_tracks):
-        table[...] = number[table]
-    rounded = rounded[order]
-    return rig, rounded
-
-
-def _on_one_side(rig: Rig, rotations: Array) -> Array:
-    """The rotations (F, J, 4) with the signs that make what is coded continuous."""
-    aligned = quat.align_signs(rotations, axis=0)
-    first = quat.multiply(quat.multiply(quat.conjugate(rig.before), aligned[0]), quat.conjugate(rig.after))
-    return aligned * np.where(first[:, :1] < 0, -1.0, 1.0)
-
-
-def _reaches(parents: Array, translations: Array, scales: Array, shell_m: float) -> tuple[Array, Array]:
-    """How far from each joint (J,) the body reaches that it turns, and its nearest joints do."""
-    size = np.max(np.abs(scales), axis=(0, 2))
-    length = np.max(np.linalg.norm(translations, axis=2), axis=0)
-    above = np.ones(len(parents))
-    for j, p in enumerate(parents.tolist()):
-        above[j] = above[p] * size[p] if p >= 0 else 1.0
-    reach, bone = shell_m * above * size, shell_m * above * size
-    length = length * above
-    for j in range(len(parents) - 1, -1, -1):
-        p = parents[j]
-        if p >= 0:
-            reach[p] = max(reach[p], length[j] + reach[j])
-            bone[p] = max(bone[p], length[j])
-    return np.maximum(reach, 1e-12), np.maximum(bone, 1e-12)
-
-
-def _mean_rotation(q: Array) -> Array:
-    """Source: Markley, Cheng, Crassidis & Oshman 2007, equation 12."""
-    values, vectors = np.linalg.eigh(q.T @ q)
-    mean = vectors[:, np.argmax(values)]
-    return mean if mean @ q[0] >= 0 else -mean
-
-
-def _bend(coded: Array, share: float) -> float:
-    """By how much, as half an angle, the middle of x, y, z / (1 + w) between two rotations (F, 4) is off theirs, in a share
-    of all frames.
-    """
-    short = coded[:, 1:] / (1 + coded[:, :1])
-    middle = (short[1:] + short[:-1]) / 2
-    square = np.sum(middle**2, axis=1, keepdims=True)
-    found = np.concatenate([1 - square, 2 * middle], axis=1) / (1 + square)
-    true = coded[1:] + coded[:-1]
-    true /= np.linalg.norm(true, axis=1, keepdims=True)
-    return float(np.quantile(np.linalg.norm(found - true, axis=1), share))
-
-
-def _main_axes(vectors: Array) -> Array:
-    """A rotation (4,) whose x, y, z axes are the directions in which vectors (F, 3) vary most, second and least."""
-    _, axes = np.linalg.eigh(np.cov(vectors.T))
-    axes = axes[:, ::-1]
-    for k in range(3):  # eigenvectors have no sign; choose one
-        axes[:, k] *= 1.0 if axes[np.argmax(np.abs(axes[:, k])), k] > 0 else -1.0
-    if np.linalg.det(axes) < 0:
-        axes[:, 2] = -axes[:, 2]
-    return quat.from_matrix(np.ascontiguousarray(axes))
-
-
-def _stored(q: Array) -> Array:
-    return store.unpack_quaternions(store.pack_quaternions(q[None]))[0]
-
-
-def _exactness(rig: Rig, frames: Frames, parents: Array, budget: Budget) -> Array:
-    """The stored kind of each joint's rotation (J,); constant ones are rounded in place to what is stored."""
-    kinds = rig.kinds.astype(np.uint8)
-    reach, _ = _reaches(parents, frames.translations, frames.scales, budget.shell_m)
-    for j in np.nonzero(rig.kinds == 0)[0].tolist():
-        q = rig.before[j]
-        if np.all(q == [1, 0, 0, 0]):
-            kinds[j] = IDENTITY
-            continue
-        short = _stored(q)
-        error = 2 * np.linalg.norm(quat.multiply(quat.conjugate(q), short)[1:]) * reach[j]
-        if error < _STILL * np.min(budget.tolerances_m):
-            kinds[j], rig.before[j] = CONSTANT, short
-        else:
-            kinds[j], rig.before[j] = EXACT, q.astype(np.float32)
-    return kinds
-
-
 def _book(needed: Array) -> Array:
     """Bit profiles (P, 16), sorted by size, that hold all of ``needed`` (N, 16) with few bits."""
     from keypose.kernels.encode import cheapest_profiles, merge_profiles
@@ -549,47 +314,3 @@ def _book(needed: Array) -> Array:
         cheapest_profiles(needed, profiles, store.profile_bytes(profiles), choice)
         profiles = np.stack([needed[choice == p].max(axis=0) for p in np.unique(choice).tolist()])
     return profiles
-
-
-# --- proof -----------------------------------------------------------------------------------------------------------------
-
-
-def check_times(times_s: Array) -> Array:
-    """All frames and three times between each two."""
-    inner = (times_s[:-1, None] + np.diff(times_s)[:, None] * np.arange(_CHECKS_PER_FRAME) / _CHECKS_PER_FRAME).ravel()
-    return np.append(inner, times_s[-1])
-
-
-def errors(skeleton: Skeleton, decoded: Frames, true: Frames, budget: Budget) -> tuple[Array, Array]:
-    """Errors on the body (F, J) in metres and of morph weights (F, M)."""
-    from keypose.kernels.encode import model_matrices, shell_errors
-
-    parents = np.asarray(skeleton.parents, np.int64)
-    count, joints = true.rotations.shape[:2]
-    both: list[Array] = []
-    for frames in (decoded, true):
-        out = np.empty((count, joints, 12))
-        model_matrices(
-            parents, *(np.ascontiguousarray(a, np.float64) for a in frames[:3]), np.empty((count, joints, 4)), out
-        )
-        both.append(out)
-    distances = np.empty((count, joints))
-    shell_errors(*both, budget.shell_m, distances)
-    return distances, np.abs(decoded.weights - true.weights)
-
-
-def decode_frames(packed: Packed, decoder: store.Decoder, times_s: Array, loop: bool) -> Frames:
-    """Poses at times, float32, by the kernel."""
-    from keypose.kernels.decode import decode_to
-    from keypose.kernels.runtime import aligned
-
-    count, joints, morphs = len(times_s), len(packed.kinds), len(packed.morphs)
-    out = Frames(
-        np.empty((count, joints, 4), np.float32), np.empty((count, joints, 3), np.float32),
-        np.empty((count, joints, 3), np.float32), np.empty((count, morphs), np.float32),
-    )  # fmt: skip
-    decode_to(
-        decoder.layout, decoder.tables, decoder.book, decoder.codes, float(packed.info["start_s"]),
-        float(packed.info["rate_hz"]), loop, np.ascontiguousarray(times_s, np.float64), aligned(decoder.room), aligned(decoder.stride), *out,
-    )  # fmt: skip
-    return out
