@@ -226,3 +226,27 @@ def test_contacts_without_a_plant_node_change_nothing() -> None:
     outs = [g.step(g.init(g.build(x, skeleton(), clips())), dt_s=0.3)[1] for x in (pair("none"), with_contact)]
     assert np.array_equal(outs[0].pose.rotations, outs[1].pose.rotations)
     assert set(outs[1].contacts) == {"ground"} and not outs[0].contacts
+
+
+@pytest.mark.parametrize(("name", "turn_deg_s"), [("walk", 60.0), ("walk", -30.0), ("run", 60.0)])
+def test_feet_stand_on_a_curved_way(name: str, turn_deg_s: float) -> None:
+    """Turning a walk about the root would drag the feet along; bending their places with the way does not."""
+    human = samples.load("human")
+    body = human.character.skeleton
+    nodes = {"gait": g.ClipNode(name), "turn": g.Steer("gait", turn_deg_s), "plant": g.Plant("turn")}
+    graph = g.Graph(nodes, "plant", clips={name: g.ClipSource()}, contacts=graphs.contacts())
+    without = replace(graph, nodes={k: v for k, v in nodes.items() if k != "plant"}, output="turn")
+    worst = []
+    for one in (without, graph):
+        program = g.build(one, body, {name: human.animation(name)}, dtype=np.float64)
+        run = g.run_program(program, frame_count=241, rate_hz=120.0)
+        _, positions = world_rotations_positions(body, run.motion.pose)
+        feet = positions[:, [body.index(c.joint) for c in graph.contacts.values()]]
+        speed = 12000 * np.linalg.norm(np.diff(feet[:, :, [0, 2]], axis=0), axis=-1)
+        touching = (run.contacts[1:] > 0.999) & (run.contacts[:-1] > 0.999)
+        touching[0] = False
+        worst.append(float(speed[touching].max()))
+    print(
+        f"\n{name} at {turn_deg_s:g} degrees/s: foot slide in contact at most {worst[0]:.1f}, planted {worst[1]:.2f} cm/s"
+    )
+    assert worst[1] < 2.0 and worst[0] > 8.0

@@ -215,7 +215,9 @@ def _make_masks(b: _Builder, curve_names: Sequence[str]) -> None:
                 raise GraphError("", f"{where}.curves", str(UnknownName("morph", curve, curve_names)))
             curves[curve_names.index(curve)] = weight
         contacts = joints[[b.skeleton.index(c.joint) for c in b.graph.contacts.values()]]
-        row = np.concatenate([np.repeat(joints, 3), np.repeat(joints, 3), curves, np.repeat(contacts, 3), contacts])
+        row = np.concatenate(
+            [np.repeat(joints, 3), np.repeat(joints, 3), curves, np.repeat(contacts, 3), contacts, contacts]
+        )
         b.mask_index[name] = len(b.masks)
         b.masks.append((np.minimum(joints, 1.0), np.minimum(row, 1.0)))
 
@@ -272,7 +274,8 @@ def _make(b: _Builder, name: str, sync: _Sync | None) -> RtNode:
             return _keep(b, control.RtWarp(name, index, base.synced, base, _value(b, node.speed)))
         case d.Steer():
             base = _make(b, node.input, sync)
-            return _keep(b, control.RtSteer(name, index, base.synced, base, _value(b, node.turn_deg_s)))
+            way, _ = _slots(b, 3, 0)
+            return _keep(b, control.RtSteer(name, index, base.synced, base, _value(b, node.turn_deg_s), way))
         case d.StateMachine():
             return _keep(b, _machine(b, name, index, node))
         case d.LookAt():

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from keypose.play.graph.assets import ClipAsset
 from keypose.play.graph.program import (
     Add,
+    Bend,
     Change,
     Fired,
     Look,
@@ -31,6 +32,8 @@ from keypose.play.graph.synchrony import Position, SyncTable, progress
 
 LONGEST_STEP_S = 60.0  # the work of a step is bounded
 FASTEST = 100.0  # of clips, for the same reason
+SLOW_M_S = 0.1  # of a curved way
+MOST_CURVED = 3.0  # radians per metre
 SLOWEST = 1e-3  # of synchronised clips: a speed of 0 would stop the others too
 
 
@@ -462,9 +465,25 @@ class RtWarp(RtOver):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RtSteer(RtOver):
-    """The travel turns."""
+    """The travel turns, and the places of the contacts are bent with it: what stands on a straight way stands on a curve.
+
+    Below about ``SLOW_M_S`` there is no way to bend: a character that turns on the spot turns its feet too.
+    """
 
     turn_deg_s: Value
+    way: int  # slots of floats: direction x, z, curvature
+
+    def enter(self, m: Moment) -> None:
+        """Start the base on a straight way."""
+        m.floats[self.way : self.way + 3] = [0.0, 1.0, 0.0]
+        self.base.enter(m)
+
+    def emit(self, m: Moment, ops: list[Operation]) -> None:
+        """The base's pose, its contacts bent."""
+        self.base.emit(m, ops)
+        x, z, curvature = m.floats[self.way : self.way + 3]
+        if curvature != 0:
+            ops.append(Bend(x, z, curvature))
 
     def advance(self, m: Moment, dt_s: float, weight: float) -> Ground:
         """The base's step on an arc."""
@@ -475,7 +494,14 @@ class RtSteer(RtOver):
         return self._turned(m, self.base.drive(m, at, dt_s, weight), dt_s)
 
     def _turned(self, m: Moment, step: Ground, dt_s: float) -> Ground:
-        half = (0.0, 0.0, 0.5 * dt_s * math.radians(self.turn_deg_s.of(m)))
+        turn = math.radians(self.turn_deg_s.of(m))
+        length = math.hypot(step[0], step[1])
+        if dt_s > 0:
+            speed = length / dt_s
+            curvature = turn * speed / (speed * speed + SLOW_M_S * SLOW_M_S)
+            x, z = (step[0] / length, step[1] / length) if length > 0 else (0.0, 1.0)
+            m.floats[self.way : self.way + 3] = [x, z, min(max(curvature, -MOST_CURVED), MOST_CURVED)]
+        half = (0.0, 0.0, 0.5 * dt_s * turn)
         return compose(half, compose(step, half))
 
 

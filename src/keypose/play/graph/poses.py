@@ -19,6 +19,7 @@ from keypose.play.graph.assets import ClipAsset
 from keypose.play.graph.program import (
     Add,
     BeginInertial,
+    Bend,
     Dead,
     Held,
     Hold,
@@ -67,14 +68,21 @@ class Layout:
         return slice(start, start + self.effectors)
 
     @property
+    def turn_slice(self) -> slice:
+        """Of the turns of what touches with the contacts, radians about Y."""
+        start = 6 * self.joints + self.curves + 4 * self.effectors
+        return slice(start, start + self.effectors)
+
+    @property
     def width(self) -> int:
         """L."""
-        return 6 * self.joints + self.curves + 4 * self.effectors
+        return 6 * self.joints + self.curves + 5 * self.effectors
 
     def row(self, translations: Any, scales: Any, curves: Any, effectors: Any, touching: Any) -> Floats:
         """The linear row, or rows with a batch axis."""
         batch = np.shape(translations)[:-2]
         parts = [np.reshape(a, (*batch, -1)) for a in (translations, scales, curves, effectors, touching)]
+        parts.append(np.zeros((*batch, self.effectors)))
         return np.concatenate(parts, axis=-1).astype(np.float64)
 
 
@@ -174,6 +182,8 @@ def evaluate(ops: Sequence[Operation], resources: Resources, memory: list[Memory
                 stack.append(end)
             case Inertial():
                 stack.append(inertial(memory[op.memory], stack.pop(), op))
+            case Bend():
+                stack.append(bent(stack.pop(), op, resources.layout))
             case Look():
                 stack.append(resources.solvers[op.chain](stack.pop(), op.target, op.weight))
             case Reach():
@@ -310,6 +320,26 @@ def inertial(memory: Memory, pose: Buffer, op: Inertial) -> Buffer:
     turn = quintic(memory.turn, memory.turn_speed, op.elapsed_s, op.duration_s)
     offset = quintic(memory.offset, memory.offset_speed, op.elapsed_s, op.duration_s)
     return Buffer(quat.multiply(quat.from_rotation_vector(turn), pose.rotations), pose.linear + offset)
+
+
+def bent(pose: Buffer, op: Bend, layout: Layout) -> Buffer:
+    """The contacts' places carried from a straight way onto an arc, each as far along it and beside it as before.
+
+    A point that stands in the world while the root goes straight then stands while the root goes along the arc.
+    """
+    linear = pose.linear.copy()
+    places = linear[layout.effector_slice].reshape(-1, 3)
+    along = places[:, 0] * op.x + places[:, 2] * op.z
+    aside_x, aside_z = places[:, 0] - along * op.x, places[:, 2] - along * op.z
+    turn = op.curvature * along
+    straight = along * np.sinc(turn / np.pi)
+    curved = along * np.sin(turn / 2) * np.sinc(turn / (2 * np.pi))  # (1 - cos) / turn
+    c, s = np.cos(turn), np.sin(turn)
+    x = straight * op.x + curved * op.z + c * aside_x + s * aside_z
+    z = straight * op.z - curved * op.x - s * aside_x + c * aside_z
+    linear[layout.effector_slice] = np.stack([x, places[:, 1], z], axis=-1).ravel()
+    linear[layout.turn_slice] += turn
+    return Buffer(pose.rotations, linear)
 
 
 def to_pose(buffer: Buffer, layout: Layout, dtype: Any) -> Pose:

@@ -89,6 +89,14 @@ class Inertial(NamedTuple):
     duration_s: float
 
 
+class Bend(NamedTuple):
+    """Bend the top pose's contacts from a straight way (direction x, z) onto a curved one (radians per metre)."""
+
+    x: float
+    z: float
+    curvature: float
+
+
 class Look(NamedTuple):
     """Pop a pose; push it looking at a target."""
 
@@ -124,6 +132,7 @@ Operation: TypeAlias = (
     | Dead
     | BeginInertial
     | Inertial
+    | Bend
     | Look
     | Reach
     | PlantFeet

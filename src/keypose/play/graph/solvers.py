@@ -72,7 +72,10 @@ class ReachSolver:
         turned, places = _world(self.skeleton, self.layout, buffer)
         end = places[self.limb.end]
         goal = end + weight * (np.asarray(target, np.float64) - end)
-        return Buffer(_solved(self.skeleton, buffer.rotations, turned, places, self.limb, goal), buffer.linear)
+        return Buffer(
+            _solved(self.skeleton, buffer.rotations, turned, places, self.limb, goal, turned[self.limb.end]),
+            buffer.linear,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +96,14 @@ class PlantSolver:
         turned, places = _world(self.skeleton, self.layout, buffer)
         wanted = buffer.linear[self.layout.effector_slice].reshape(-1, 3).copy()
         wanted[:, 1] = np.maximum(wanted[:, 1], self.floors_m)
-        goals = [places[limb.end] + weight * (wanted[contact] - places[joint]) for contact, joint, limb in self.feet]
+        turns = weight * buffer.linear[self.layout.turn_slice]
+        goals: list[Floats] = []
+        facing: list[Floats] = []
+        for contact, joint, limb in self.feet:
+            turn = quat.from_axis_angle(np.array([0.0, 1.0, 0.0]), turns[contact])
+            touch = places[joint] + weight * (wanted[contact] - places[joint])
+            goals.append(touch + quat.rotate(turn, places[limb.end] - places[joint]))
+            facing.append(quat.multiply(turn, turned[limb.end]))
         sink = max(self._sink(places, limb, goal) for (_, _, limb), goal in zip(self.feet, goals, strict=True))
         linear = buffer.linear
         if sink > 0:
@@ -102,8 +112,8 @@ class PlantSolver:
                 linear[3 * int(top) + 1] -= sink
             places = places - np.array([0.0, sink, 0.0])
         rotations = buffer.rotations
-        for (_, _, limb), goal in zip(self.feet, goals, strict=True):
-            rotations = _solved(self.skeleton, rotations, turned, places, limb, goal)
+        for (_, _, limb), goal, end in zip(self.feet, goals, facing, strict=True):
+            rotations = _solved(self.skeleton, rotations, turned, places, limb, goal, end)
         return Buffer(rotations, linear)
 
     def _sink(self, places: Floats, limb: Limb, goal: Floats) -> float:
@@ -125,8 +135,10 @@ def _world(skeleton: Skeleton, layout: Layout, buffer: Buffer) -> tuple[Floats, 
     return world_rotations_positions(skeleton, pose)
 
 
-def _solved(skeleton: Skeleton, rotations: Floats, turned: Floats, places: Floats, limb: Limb, goal: Floats) -> Floats:
-    """Local rotations with the limb's end at the goal and the end's world rotation kept."""
+def _solved(
+    skeleton: Skeleton, rotations: Floats, turned: Floats, places: Floats, limb: Limb, goal: Floats, facing: Floats
+) -> Floats:
+    """Local rotations with the limb's end at the goal and its world rotation ``facing``."""
     start, middle, end = places[limb.upper], places[limb.middle], places[limb.end]
     upper, lower = middle - start, end - middle
     lengths = float(np.linalg.norm(upper)), float(np.linalg.norm(lower))
@@ -149,7 +161,7 @@ def _solved(skeleton: Skeleton, rotations: Floats, turned: Floats, places: Float
     changed = {
         limb.upper: quat.multiply(first, turned[limb.upper]),
         limb.middle: quat.multiply(second, turned[limb.middle]),
-        limb.end: turned[limb.end],
+        limb.end: facing,
     }
     return _with_world(skeleton, rotations, turned, changed)
 
