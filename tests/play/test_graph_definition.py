@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from graph_fixtures import build, clips, machine, single, skeleton, sources
 
-from keypose.errors import FormatError
+from keypose.errors import FormatError, UnknownName
 from keypose.play import graph as g
 from keypose.samples import graphs
 
@@ -242,3 +242,15 @@ def test_damaged_files_raise_one_line() -> None:
     for bad in (b"", b"[", b"[" * 100_000, b'{"format": "keypose-graph", "version": 1}', b"null", b"\xff\xfe"):
         with pytest.raises(FormatError):
             g.from_json(bad)
+
+
+def test_a_name_that_appears_twice_is_refused() -> None:
+    text = g.to_json(everything()).replace('"rest": {', '"c3": {', 1)
+    with pytest.raises(FormatError, match="'c3' appears twice"):
+        g.from_json(text)
+
+
+def test_names_of_graphs() -> None:
+    assert graphs.load("locomotion") == graphs.locomotion() and graphs.names() == ["locomotion"]
+    with pytest.raises(UnknownName, match="nearest: 'locomotion'"):
+        graphs.load("locomotoin")

@@ -36,7 +36,7 @@ def from_json(text: str | bytes) -> Graph:
     if len(text) > LARGEST_BYTES:
         raise FormatError(f"expected a graph of at most {LARGEST_BYTES >> 20} MiB")
     try:
-        data = json.loads(text, parse_constant=_no_constant)
+        data = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         line = f"line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         what = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
@@ -81,6 +81,16 @@ def load(path: str | PathLike[str]) -> Graph:
         return from_json(data)
     except FormatError as error:
         raise error.at(path) from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """JSON lets a name appear twice and the last one win; here a node would be lost silently."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"'{twice}' appears twice in one object")
+    return found
 
 
 def _no_constant(name: str) -> float:
