@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-VERBS = ("demo", "studio", "play", "info", "convert", "render", "bench")
+VERBS = ("demo", "studio", "play", "info", "convert", "render", "graph", "bench")
 
 
 def keypose(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -132,6 +132,20 @@ def test_convert_puts_a_motion_on_a_character(tmp_path: Path, data_dir: Path) ->
     assert facts["clips"][0]["name"] == "walk" and facts["meshes"] > 5
     other = data_dir / "gltf/khronos/Fox.glb"
     assert "skeletons differ" in refused(keypose("convert", tmp_path / "walk.bvh", other, tmp_path / "no.glb"))
+
+
+def test_a_graph_is_run_and_baked(tmp_path: Path) -> None:
+    keys = tmp_path / "keys.json"
+    keys.write_text('[{"at_s": 0.2, "set": {"speed": 1.2}}, {"at_s": 1.0, "set": {"jump": true}}]')
+    result = keypose("graph", "sample:locomotion", tmp_path / "out.glb", "--inputs", keys, "--seconds", 2, "--rate", 30)
+    assert result.returncode == 0, result.stderr
+    assert "idle → move" in result.stdout and "move → jump" in result.stdout
+    facts = json.loads(keypose("info", tmp_path / "out.glb", "--json").stdout)
+    assert facts["clips"][0]["frames"] == 61 and facts["meshes"] > 5
+    keys.write_text('[{"at_s": "soon"}]')
+    assert "keys.json" in refused(keypose("graph", "sample:locomotion", tmp_path / "no.glb", "--inputs", keys))
+    assert "nearest: 'locomotion'" in refused(keypose("graph", "sample:locomotoin", tmp_path / "no.glb"))
+    assert not (tmp_path / "no.glb").exists()
 
 
 @pytest.mark.parametrize("suffix", ["png", "gif", "mp4", "webm"])

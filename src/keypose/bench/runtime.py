@@ -12,10 +12,12 @@ import numpy as np
 from keypose import evaluate, io, play
 from keypose.bench import data
 from keypose.bench.suite import Result, Suite
+from keypose.kernels import sample
 from keypose.kernels.decode import FRAME_COUNT, decode_pose, frame_at
 from keypose.kernels.runtime import aligned, kernel
 from keypose.kernels.vectors import pointer
 from keypose.model import Motion, Pose, Skeleton
+from keypose.play import crowd
 
 # N. Frechette, "Animation Compression Library", results on the CMU database: ratio at an error of 0.01 cm asked for.
 _PUBLISHED, _PUBLISHED_NAME = 21.8, "ACL, published, CMU"
@@ -30,6 +32,7 @@ def add(suite: Suite) -> None:
     """
     _compression(suite)
     _decompression(suite)
+    _crowds(suite)
 
 
 def _compression(suite: Suite) -> None:
@@ -93,3 +96,52 @@ def _decompression(suite: Suite) -> None:
             lambda few=few: evaluate.sample_motion(motion, few), "NumPy, raw", len(few),
             note=f"{clip.packed.track_count} numbers move",
         )  # fmt: skip
+
+
+_GROWING = (1, 2, 3, 4, 5, 7)  # joints whose scale moves: the spine and the head
+_CHARACTERS = (1, 16, 256, 4096)
+
+
+def _crowds(suite: Suite) -> None:
+    """Sample three compressed clips, blend, and walk the hierarchy with scale; the reference has neither of the two."""
+    rng = np.random.default_rng(1)
+    parents, offsets = data.body()
+    joints, raw = len(parents), data.clips(offsets, rng)
+    rest = Pose(offsets, np.tile([1.0, 0, 0, 0], (joints, 1)), np.ones((joints, 3)))
+    skeleton = Skeleton(tuple(f"joint{j}" for j in range(joints)), parents, rest)
+    clips: list[play.CompiledClip] = []
+    for rotations, translations in raw:
+        scales = np.ones((len(rotations), joints, 3))
+        phase = 2 * np.pi * np.arange(len(rotations)) / (len(rotations) - 1)
+        scales[:, _GROWING] += (0.05 * np.sin(phase))[:, None, None]
+        motion = Motion(skeleton.names, Pose(translations, rotations, scales), 30.0)
+        clips.append(play.compile_clip(motion, skeleton, loop=True))
+    plain = sample.compile_clips(parents, raw)
+    for count in _CHARACTERS:
+        places, weights = data.crowd(count, rng)
+        which, times, weights = np.tile(np.arange(3), (count, 1)), places / 30.0, np.array(weights, np.float64)
+        made = crowd.prepare(clips, skeleton, count)
+        got = crowd.model_matrices(made, crowd.animate(made, which, times, weights))[:16]
+        poses = [play.sample(clip, times[:16, k]) for k, clip in enumerate(clips)]
+        true = evaluate.world(skeleton, evaluate.blend(poses, weights[:16]))
+        suite.check(f"crowd of {count}, compressed clips: metres", abs(got - true)[..., :3, 3].max(), 1e-4)
+        state = sample.mix(plain, np.arange(3), places, weights)
+        out = sample.animate_crowd(plain, state)
+        name = "chain with scale, compressed clips, " + ("1 character" if count == 1 else f"{count} characters")
+        arguments = (made, which, times, weights)
+        kept = f"pool {made.pool_bytes // 1024} KiB, clips {sum(c.byte_count for c in clips) // 1024} KiB"
+        suite.case(
+            name, "ns/character", count, lambda arguments=arguments: crowd.animate(*arguments),
+            lambda state=state, out=out: sample.animate_crowd(plain, state, out), "float32, no scale", note=kept,
+        )  # fmt: skip
+        if count >= 256:
+            emptied = crowd.prepare(clips, skeleton, count)
+            suite.case(
+                f"{name}, pool emptied", "ns/character", count,
+                lambda emptied=emptied, rest=arguments[1:]: _from_nothing(emptied, *rest),
+            )  # fmt: skip
+
+
+def _from_nothing(made: crowd.Crowd, which: Any, times: Any, weights: Any) -> None:
+    crowd.forget(made)
+    crowd.animate(made, which, times, weights)

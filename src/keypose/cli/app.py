@@ -234,6 +234,31 @@ def render(
     )
 
 
+@app.command(
+    epilog=_examples(
+        "keypose graph sample:locomotion out.glb --seconds 6",
+        "keypose graph game.json out.mp4 --inputs keys.json",
+        """echo '[{"at_s": 0, "set": {"speed": 1.2}}, {"at_s": 2, "set": {"jump": true}}]' > keys.json""",
+    )
+)
+def graph(
+    graph: Annotated[str, typer.Argument(metavar="GRAPH", help="A graph's JSON, or sample:NAME.", show_default=False)],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A .glb, .gltf or .bvh, or a picture or film.", show_default=False)
+    ],
+    inputs: Annotated[
+        Path | None, typer.Option("--inputs", help="JSON of parameters over time; the graph's defaults if not given.")
+    ] = None,
+    seconds: Annotated[float, typer.Option("--seconds", help="How long to run.", min=0.01, max=3600)] = 5.0,
+    rate: Annotated[float, typer.Option("--rate", help="Steps per second.", min=1, max=1000)] = 60.0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Run an animation graph headless and bake what it does into a file."""
+    from keypose.cli.graph import bake_graph
+
+    bake_graph(graph, output, inputs=inputs, duration_s=seconds, rate_hz=rate, quiet=quiet)
+
+
 @app.command(epilog=_examples("keypose bench", "keypose bench kernels --json kernels.json"))
 def bench(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="kernels, bvh, fk; all if not given.")] = None,

@@ -1,6 +1,6 @@
-"""The real-time runtime: compiled clips, sampled at any time; the animation graph."""
+"""The real-time runtime: compiled clips, sampled at any time; crowds of them; the animation graph."""
 
-from keypose.play import graph
+from keypose.play import crowd, graph
 from keypose.play.clip import (
     CompiledClip,
     CompileError,
@@ -16,6 +16,7 @@ __all__ = [
     "CompileError",
     "CompiledClip",
     "compile_clip",
+    "crowd",
     "from_bytes",
     "graph",
     "sample",
