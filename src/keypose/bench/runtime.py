@@ -12,7 +12,6 @@ import numpy as np
 from keypose import evaluate, io, play
 from keypose.bench import data
 from keypose.bench.suite import Result, Suite
-from keypose.kernels import sample
 from keypose.kernels.decode import FRAME_COUNT, decode_pose, frame_at
 from keypose.kernels.runtime import aligned, kernel
 from keypose.kernels.vectors import pointer
@@ -103,7 +102,7 @@ _CHARACTERS = (1, 16, 256, 4096)
 
 
 def _crowds(suite: Suite) -> None:
-    """Sample three compressed clips, blend, and walk the hierarchy with scale; the reference has neither of the two."""
+    """Sample three compressed clips, blend, and walk the hierarchy with scale."""
     rng = np.random.default_rng(1)
     parents, offsets = data.body()
     joints, raw = len(parents), data.clips(offsets, rng)
@@ -116,7 +115,6 @@ def _crowds(suite: Suite) -> None:
         scales[:, _GROWING] += (0.05 * np.sin(phase))[:, None, None]
         motion = Motion(skeleton.names, Pose(translations, rotations, scales), 30.0)
         clips.append(play.compile_clip(motion, skeleton, loop=True))
-    plain = sample.compile_clips(parents, raw)
     for count in _CHARACTERS:
         places, weights = data.crowd(count, rng)
         which, times, weights = np.tile(np.arange(3), (count, 1)), places / 30.0, np.array(weights, np.float64)
@@ -125,14 +123,12 @@ def _crowds(suite: Suite) -> None:
         poses = [play.sample(clip, times[:16, k]) for k, clip in enumerate(clips)]
         true = evaluate.world(skeleton, evaluate.blend(poses, weights[:16]))
         suite.check(f"crowd of {count}, compressed clips: metres", abs(got - true)[..., :3, 3].max(), 1e-4)
-        state = sample.mix(plain, np.arange(3), places, weights)
-        out = sample.animate_crowd(plain, state)
         name = "chain with scale, compressed clips, " + ("1 character" if count == 1 else f"{count} characters")
         arguments = (made, which, times, weights)
         kept = f"pool {made.pool_bytes // 1024} KiB, clips {sum(c.byte_count for c in clips) // 1024} KiB"
         suite.case(
             name, "ns/character", count, lambda arguments=arguments: crowd.animate(*arguments),
-            lambda state=state, out=out: sample.animate_crowd(plain, state, out), "float32, no scale", note=kept,
+            note=kept,
         )  # fmt: skip
         if count >= 256:
             emptied = crowd.prepare(clips, skeleton, count)
