@@ -122,6 +122,14 @@ def test_convert_there_and_back_prints_its_proof(tmp_path: Path) -> None:
 
 
 @pytest.mark.data
+def test_a_giant_s_proof_is_read_in_the_unit_it_was_written_in(tmp_path: Path, data_dir: Path) -> None:
+    result = keypose("convert", data_dir / "gltf/khronos/Fox.glb", tmp_path / "fox.bvh", "--clip", "Walk")
+    assert result.returncode == 0, result.stderr
+    assert "18 frames: positions within 0.00" in result.stdout, "at the rate of its keys, 24 Hz"
+    assert "read it with --unit cm --up Y" in result.stdout
+
+
+@pytest.mark.data
 def test_convert_puts_a_motion_on_a_character(tmp_path: Path, data_dir: Path) -> None:
     keypose("convert", "sample:walk", tmp_path / "walk.bvh")
     keypose("convert", "sample:human", tmp_path / "human.glb")

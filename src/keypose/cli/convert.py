@@ -48,8 +48,38 @@ def convert_files(
     out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
     for note in (*scene.notes, *write_notes):
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in proof(scene, io.load(output)):
+    for line in [*_unsaid(scene, output, out_unit), *proof(scene, _read_back(scene, output, out_unit))]:
         out.print(f"  {escape(line)}")
+
+
+def _bvh_conventions(scene: Scene, out_unit: str | None) -> dict[str, Any]:
+    from keypose.io.bvh_writer import written_as
+
+    unit_m, up = written_as(scene.character, unit=None if out_unit is None else unit_option(out_unit))
+    return {"unit": unit_m, "up": up}
+
+
+def _read_back(scene: Scene, output: Path, out_unit: str | None) -> Scene:
+    """The file as it was meant: a BVH file is read in the unit and axes it was written in."""
+    from keypose import io
+
+    return io.load(output, **(_bvh_conventions(scene, out_unit) if output.suffix.lower() == ".bvh" else {}))
+
+
+def _unsaid(scene: Scene, output: Path, out_unit: str | None) -> list[str]:
+    """A warning where a reader of the file would guess another unit or axis than was written."""
+    from keypose import io
+    from keypose.io.axes import unit_name
+
+    if output.suffix.lower() != ".bvh":
+        return []
+    meant, guessed = _bvh_conventions(scene, out_unit), io.load(output)
+    if abs(guessed.unit_m / meant["unit"] - 1) < 1e-6 and guessed.up == meant["up"]:
+        return []
+    return [
+        f"BVH says neither unit nor axes: read it with --unit {unit_name(meant['unit']).removesuffix(' m')} "
+        f"--up {meant['up']}; by its size it looks like {unit_name(guessed.unit_m)}, {guessed.up} up"
+    ]
 
 
 def combine(names: list[str], scenes: list[Scene]) -> Scene:

@@ -52,8 +52,8 @@ def write(
 
     Shapes and units: ``unit`` is a name ("cm") or metres per file unit; ``up`` is "X", "Y" or "Z"; ``order`` the
     rotation order of all joints ("ZYX" means channels Zrotation Yrotation Xrotation). Without these a character that
-    came from BVH is written as it was read, others in cm, Y up, ZYX. ``rate_hz`` resamples; a clip is baked at its own
-    rate, else at 30 Hz. ``decimals`` is the number of digits after the point.
+    came from BVH is written as it was read, others in cm, Y up, ZYX. ``rate_hz`` resamples; a clip is baked at the
+    rate of its keys, else at 30 Hz. ``decimals`` is the number of digits after the point.
 
     Raises:
         FormatError: where there is no skeleton, or the place cannot be written.
@@ -72,8 +72,7 @@ def write(
         notes.append(f"{len(character.parts)} mesh parts are not in the file: BVH holds no meshes")
     remembered = _Remembered.of(character)
     motion = _motion(scene, character, rate_hz, animation, notes)
-    unit_m = remembered.unit_m if unit is None else unit_in_metres(unit)
-    up = remembered.up if up is None else checked_up(up)
+    unit_m, up = written_as(character, unit=unit, up=up)
     body = _body(character, motion, remembered, up, notes)
     hierarchy, values = _table(body, remembered, order, unit_m, notes)
     same_rate = remembered.frame_time and remembered.rate_hz == motion.rate_hz
@@ -84,6 +83,15 @@ def write(
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.writelines(compose(hierarchy, frame_time, values, decimals))
     return tuple(notes)
+
+
+def written_as(character: Character, *, unit: str | float | None = None, up: str | None = None) -> tuple[float, str]:
+    """The unit in metres and the up axis that `write` uses for a character, which no BVH file can say."""
+    remembered = _Remembered.of(character)
+    return (
+        remembered.unit_m if unit is None else unit_in_metres(unit),
+        remembered.up if up is None else checked_up(up),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,10 +168,10 @@ def _motion(
     chosen = scene.animation(animation)
     notes += [f"animation '{a.name}' is not in the file: BVH holds one" for a in scene.animations if a is not chosen]
     if isinstance(chosen, Clip):
-        rate = rate_hz or chosen.rate_hz
+        rate = rate_hz or evaluate.key_rate(chosen)
         if rate is None:
             rate = _DEFAULT_RATE_HZ
-            notes.append(f"the clip has no rate of its own; it was sampled at {rate:g} Hz")
+            notes.append(f"the clip's keys are at no steady rate; it was sampled at {rate:g} Hz")
         motion = evaluate.bake(evaluate.match(chosen, skeleton), skeleton, rate)
     else:
         motion = chosen
