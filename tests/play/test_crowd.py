@@ -175,6 +175,42 @@ def test_nothing_is_allocated(rig: Any) -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.parametrize("many", [1, 2, 4])
+def test_one_character_alone_is_where_a_crowd_has_it(rig: Any, many: int) -> None:
+    skeleton, clips = rig
+    made = crowd.prepare(clips, skeleton, 20)
+    which, times, weights = mixture(np.random.default_rng(many), 20, many, len(clips))
+    wanted = crowd.model_matrices(made, crowd.animate(made, which, times, weights))
+    same = tuple(np.array(a[0]) for a in (which, times, weights))
+    got = np.zeros(0)
+    for n in range(20):
+        got = crowd.animate_one(made, which[n], times[n], weights[n])
+        assert np.abs(got - wanted[n]).max() < 1e-5
+        for array, source in zip(same, (which, times, weights), strict=True):
+            array[:] = source[n]
+        assert np.array_equal(crowd.animate_one(made, *same), got)  # the same arrays, other numbers
+    assert np.array_equal(crowd.animate_one(made, which[19].tolist(), times[19].tolist(), weights[19].tolist()), got)
+
+
+def test_one_character_with_wrong_numbers_is_refused(rig: Any) -> None:
+    skeleton, clips = rig
+    made = crowd.prepare(clips, skeleton, 1)
+    which, times, weights = np.array([0, 1]), np.zeros(2), np.ones(2)
+    crowd.animate_one(made, which, times, weights)
+    which[1] = 4
+    with pytest.raises(ShapeError, match="clip_indices: expected 0 to 3"):
+        crowd.animate_one(made, which, times, weights)
+    which[1], times[0] = 1, np.nan
+    with pytest.raises(ShapeError, match="times_s"):
+        crowd.animate_one(made, which, times, weights)
+    with pytest.raises(ShapeError, match="weights"):
+        crowd.animate_one(made, which, np.zeros(2), -weights)
+    with pytest.raises(ShapeError, match="K from 1 to 4"):
+        crowd.animate_one(made, np.zeros(5, np.int64), np.zeros(5), np.ones(5))
+    with pytest.raises(ShapeError):
+        crowd.animate_one(made, which, np.zeros(3), np.ones(2))
+
+
 def test_wrong_input_is_refused(rig: Any) -> None:
     skeleton, clips = rig
     made = crowd.prepare(clips, skeleton, 5)

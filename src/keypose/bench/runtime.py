@@ -126,6 +126,15 @@ def _crowds(suite: Suite) -> None:
         name = "chain with scale, compressed clips, " + ("1 character" if count == 1 else f"{count} characters")
         arguments = (made, which, times, weights)
         kept = f"pool {made.pool_bytes // 1024} KiB, clips {sum(c.byte_count for c in clips) // 1024} KiB"
+        if count == 1:
+            one = which[0], times[0], weights[0]
+            alone = crowd.animate_one(made, *one)
+            suite.check("one character, compressed clips: metres", abs(alone - true[0])[:, :3, 3].max(), 1e-4)
+            suite.case(
+                f"{name}, call from Python", "ns/character", 1,
+                lambda made=made, one=one: crowd.animate_one(made, *one), note=kept,
+            )  # fmt: skip
+            continue
         suite.case(
             name, "ns/character", count, lambda arguments=arguments: crowd.animate(*arguments),
             note=kept,

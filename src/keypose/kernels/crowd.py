@@ -21,20 +21,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from keypose.kernels.decode import CELLS, FRAME_COUNT, FRAMES, SLOTS, TRACKS, decode_pose, frame_at
+from keypose.kernels.decode import CELLS, FRAME_COUNT, FRAMES, SLOTS, TRACKS, decode_pose
 from keypose.kernels.rotations import load3, load4, quat_matrix, store3, store4
-from keypose.kernels.runtime import WIDTH, inlined, kernel
+from keypose.kernels.runtime import WIDTH, inlined, intrinsic, kernel
 from keypose.kernels.vectors import (
     flip_sign,
     float32_at,
+    float64_at,
     int64_at,
     load,
+    load_sixteen,
     pointer,
-    pointer_like,
     rsqrt,
+    shuffle,
     splat,
     store,
     transpose,
+    uint8_at,
 )
 
 GROUP = 16
@@ -45,8 +48,8 @@ LAYOUT, TABLES, BOOK, CODES, FIRST_KNOT, KNOTS, FINENESS, LOOP = range(CLIP)
 (
     JOINTS, PADDED, CLIP_COUNT, MOVED, SCALED, KNOT_SIZE, SLOT_COUNT, HAND, TICK, DECODED, CLIP_TABLE, TIMING, KNOT_TIMES,
     SLOT_OF, KNOT_OF, STAMPS, POOL, MOVED_AT, SCALED_AT, REST, PARENTS, PLACES, SHARES, POSES, SUMS, ROOM,
-) = range(26)  # fmt: skip
-HANDLES = 26
+    LOCAL, MODEL,
+) = range(28)  # fmt: skip
 STILL, UNIT = -1, -2  # in MOVED_AT and SCALED_AT: the group is constant; it is constant and 1
 FINE, BAD_CLIP, BAD_TIME, BAD_WEIGHT = range(4)
 
@@ -66,11 +69,23 @@ def _wrong(which, times_s, weights, count, clips):
 
 
 @inlined
+def _frame_at(time_s, start_s, rate_hz, frames, loop):
+    """As `decode.frame_at`, without the division of Python, which takes as long as sampling."""
+    last = float(frames - 1)
+    position = (time_s - start_s) * rate_hz
+    if loop and last > 0:
+        position -= np.floor(position / last) * last
+    position = min(max(position, 0.0), last)
+    frame = min(np.int64(position), max(frames - 2, 0))
+    return frame, position - frame
+
+
+@inlined
 def _knot_at(layout, frame, share):
     """The knot at or before a place of a clip, and how far it is to the next; as `decode_pose` finds them."""
     if layout[TRACKS] == 0:
         return np.int64(0), 0.0
-    slot = frame // FRAMES
+    slot = frame >> 4
     entry = layout[layout[SLOTS] + slot]
     position = frame - slot * FRAMES + share
     cells = 1 << (entry & 7)
@@ -94,17 +109,17 @@ def _copy_groups(room, first, padded, places, pool, to, width):
 
 
 @kernel
-def _decode_knot(handles, codes_like, times_like, clip, knot, slot):
+def _decode_knot(handles, clip, knot, slot):
     """Decode one sample of one clip into the pool."""
     table = int64_at(handles[CLIP_TABLE])
     layout = int64_at(table[clip * CLIP + LAYOUT])
     decoder = (
         layout,
         float32_at(table[clip * CLIP + TABLES]),
-        pointer_like(codes_like, table[clip * CLIP + BOOK]),
-        pointer_like(codes_like, table[clip * CLIP + CODES]),
+        uint8_at(table[clip * CLIP + BOOK]),
+        uint8_at(table[clip * CLIP + CODES]),
     )
-    at = min(pointer_like(times_like, handles[KNOT_TIMES])[knot], float(layout[FRAME_COUNT] - 1))
+    at = min(float64_at(handles[KNOT_TIMES])[knot], float(layout[FRAME_COUNT] - 1))
     frame = int(at)
     room, pool = float32_at(handles[ROOM]), float32_at(handles[POOL])
     decode_pose(decoder, frame, at - frame, float32_at(handles[SUMS]), room, 0)
@@ -117,7 +132,7 @@ def _decode_knot(handles, codes_like, times_like, clip, knot, slot):
 
 
 @inlined
-def _pooled(handles, codes_like, times_like, clip, knot, slot_of, knot_of, stamps):
+def _pooled(handles, clip, knot, slot_of, knot_of, stamps):
     """Where the pool holds a knot; it is decoded if it does not yet."""
     slot = slot_of[knot]
     if slot < 0:
@@ -128,7 +143,7 @@ def _pooled(handles, codes_like, times_like, clip, knot, slot_of, knot_of, stamp
         handles[HAND] = slot + 1 if slot + 1 < slots else 0
         if knot_of[slot] >= 0:
             slot_of[knot_of[slot]] = -1
-        _decode_knot(handles, codes_like, times_like, clip, knot, slot)
+        _decode_knot(handles, clip, knot, slot)
         handles[DECODED] += 1
         slot_of[knot], knot_of[slot] = slot, knot
     stamps[slot] = handles[TICK]
@@ -136,9 +151,9 @@ def _pooled(handles, codes_like, times_like, clip, knot, slot_of, knot_of, stamp
 
 
 @kernel
-def _place(handles, codes_like, which, times_s, weights, first, many, to):
+def _place(handles, which, times_s, weights, first, many, to):
     """Where the pool holds the two knots of each clip of a character, the share between them and the clip's weight."""
-    table, timing = int64_at(handles[CLIP_TABLE]), pointer_like(times_s, handles[TIMING])
+    table, timing = int64_at(handles[CLIP_TABLE]), float64_at(handles[TIMING])
     slot_of, knot_of = int64_at(handles[SLOT_OF]), int64_at(handles[KNOT_OF])
     stamps, places, shares = int64_at(handles[STAMPS]), int64_at(handles[PLACES]), float32_at(handles[SHARES])
     total = 0.0
@@ -149,7 +164,7 @@ def _place(handles, codes_like, which, times_s, weights, first, many, to):
         row = clip * CLIP
         layout = int64_at(table[row + LAYOUT])
         start_s, rate_hz = timing[2 * clip], timing[2 * clip + 1]
-        frame, part = frame_at(times_s[first + k], start_s, rate_hz, layout[FRAME_COUNT], table[row + LOOP] != 0)
+        frame, part = _frame_at(times_s[first + k], start_s, rate_hz, layout[FRAME_COUNT], table[row + LOOP] != 0)
         knot, share = _knot_at(layout, frame, part)
         fineness = table[row + FINENESS]
         share *= fineness
@@ -158,10 +173,10 @@ def _place(handles, codes_like, which, times_s, weights, first, many, to):
         after = min(knot + 1, table[row + KNOTS] - 1) if share > 0 else knot
         base = table[row + FIRST_KNOT]
         places[to + 2 * k] = _pooled(
-            handles, codes_like, times_s, clip, base + knot, slot_of, knot_of, stamps
+            handles, clip, base + knot, slot_of, knot_of, stamps
         )  # fmt: skip
         places[to + 2 * k + 1] = _pooled(
-            handles, codes_like, times_s, clip, base + after, slot_of, knot_of, stamps
+            handles, clip, base + after, slot_of, knot_of, stamps
         )  # fmt: skip
         shares[to + 2 * k] = np.float32(share)
         # Where nothing weighs anything the first clip is played.
@@ -215,14 +230,14 @@ def _vectors(pool, places, shares, first, many, at, width):
 
 
 @kernel
-def animate(state, codes_like, which, times_s, weights, models):
+def animate(state, which, times_s, weights, models):
     """Sample, blend and walk all characters; `FINE` or what is wrong with the numbers, and then nothing is written.
 
-    ``which``, ``times_s`` and ``weights`` are (characters, clips each); ``codes_like`` is any uint8 array, for its type.
+    ``which``, ``times_s`` and ``weights`` are (characters, clips each).
     """
     characters, many, blocks = which.shape[0], which.shape[1], models.shape[0]
     clip_of, time_of, weight_of, out = pointer(which), pointer(times_s), pointer(weights), pointer(models)
-    handles, codes = pointer(state), pointer(codes_like)
+    handles = pointer(state)
     wrong = _wrong(clip_of, time_of, weight_of, characters * many, handles[CLIP_COUNT])
     if wrong != FINE:
         return wrong
@@ -237,7 +252,7 @@ def animate(state, codes_like, which, times_s, weights, models):
         present = min(characters - block * WIDTH, WIDTH)
         for i in range(present):
             _place(
-                handles, codes, clip_of, time_of, weight_of, (block * WIDTH + i) * many, many, 2 * i * many
+                handles, clip_of, time_of, weight_of, (block * WIDTH + i) * many, many, 2 * i * many
             )  # fmt: skip
         base = block * joints * 12 * WIDTH
         for j in range(0, joints, WIDTH):
@@ -294,4 +309,75 @@ def animate(state, codes_like, which, times_s, weights, models):
                             out, to + 4 * row * WIDTH, WIDTH, p * a + q * d + r * g, p * b + q * e + r * h,
                             p * c + q * f + r * i9, p * tx + q * ty + r * tz + t,
                         )  # fmt: skip
+    return FINE
+
+
+# --- one character: joints in the lanes, then one matrix in a register ------------------------------------------------------
+
+
+@intrinsic
+def _multiply(typing, a, b):
+    """The product of two 4x4 matrices, each sixteen numbers row by row."""
+
+    def generate(context, builder, sig, args):
+        total = None
+        for k in range(4):
+            column = shuffle(builder, args[0], args[0], [4 * (n // 4) + k for n in range(16)])
+            row = shuffle(builder, args[1], args[1], [4 * k + n % 4 for n in range(16)])
+            product = builder.fmul(column, row, flags=("contract", "nsz"))
+            total = product if total is None else builder.fadd(total, product, flags=("contract", "nsz"))
+        return total
+
+    return a(a, b), generate
+
+
+@kernel
+def animate_one(state, which, times_s, weights):
+    """The whole chain for one character; `FINE` or what is wrong with the numbers.
+
+    ``which``, ``times_s`` and ``weights`` are (clips,); the matrices [joint][16] are left at ``MODEL``.
+    """
+    handles, many = pointer(state), which.shape[0]
+    clip_of, time_of, weight_of = pointer(which), pointer(times_s), pointer(weights)
+    wrong = _wrong(clip_of, time_of, weight_of, many, handles[CLIP_COUNT])
+    if wrong != FINE:
+        return wrong
+    handles[TICK] += 1
+    _place(handles, clip_of, time_of, weight_of, 0, many, 0)
+    joints, padded, moved, scaled = handles[JOINTS], handles[PADDED], handles[MOVED], handles[SCALED]
+    pool, rest, local, out = (
+        float32_at(handles[POOL]),
+        float32_at(handles[REST]),
+        float32_at(handles[LOCAL]),
+        float32_at(handles[MODEL]),
+    )
+    places, shares = int64_at(handles[PLACES]), float32_at(handles[SHARES])
+    moved_at, scaled_at, parents = int64_at(handles[MOVED_AT]), int64_at(handles[SCALED_AT]), int64_at(handles[PARENTS])
+    matrices = 16 * WIDTH  # after the rows, of which the last four are 0 0 0 1
+    for j in range(0, padded, WIDTH):
+        moves, grows = moved_at[j // GROUP], scaled_at[j // GROUP]
+        w, x, y, z = _rotations(pool, places, shares, 0, many, j, padded)
+        a, b, c, d, e, f, g, h, i = quat_matrix(w, x, y, z)
+        if moves >= 0:
+            tx, ty, tz = _vectors(pool, places, shares, 0, many, 4 * padded + moves + j % GROUP, moved)
+        else:
+            tx, ty, tz = load3(rest, j, padded)
+        if grows != UNIT:
+            if grows >= 0:
+                sx, sy, sz = _vectors(pool, places, shares, 0, many, 4 * padded + 3 * moved + grows + j % GROUP, scaled)
+            else:
+                sx, sy, sz = load3(rest, 3 * padded + j, padded)
+            a, b, c = a * sx, b * sy, c * sz
+            d, e, f = d * sx, e * sy, f * sz
+            g, h, i = g * sx, h * sy, i * sz
+        store4(local, 0, WIDTH, a, b, c, tx)
+        store4(local, 4 * WIDTH, WIDTH, d, e, f, ty)
+        store4(local, 8 * WIDTH, WIDTH, g, h, i, tz)
+        for row in range(0, 16, WIDTH):
+            transpose(local, row * WIDTH, WIDTH, local, matrices + j * 16 + row, 16)
+    for k in range(joints):
+        mine, up = load_sixteen(local, matrices + k * 16), parents[k]
+        if up >= 0:
+            mine = _multiply(load_sixteen(out, up * 16), mine)
+        store(out, k * 16, mine)
     return FINE

@@ -160,6 +160,8 @@ def _pointer_from(dtype, doc):
 
 
 float32_at = _pointer_from(types.float32, "An address as a pointer to float32.")
+float64_at = _pointer_from(types.float64, "An address as a pointer to float64.")
+uint8_at = _pointer_from(types.uint8, "An address as a pointer to uint8.")
 int32_at = _pointer_from(types.int32, "An address as a pointer to int32.")
 int64_at = _pointer_from(types.int64, "An address as a pointer to int64.")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,7 @@ from keypose.model import Pose, Skeleton
 from keypose.play.clip import CompiledClip, sample, sample_rows
 
 _FRAMES = 16  # samples of a segment
+_INT64, _FLOAT64 = np.dtype(np.int64), np.dtype(np.float64)
 _GROUP = 16  # joints that move or rest together
 _FINEST = 16  # knots of one sample, at most
 _STRAIGHT_M = 5e-5  # how far the straight way between two knots may be from the clip itself
@@ -33,15 +35,16 @@ class Crowd:
     clips_each: int
     pool_bytes: int
     models: Array = field(repr=False)  # (blocks, J, 12, W) float32
+    model: Array = field(repr=False)  # (J, 4, 4) float32, of one character
     handles: Array = field(repr=False)
     parts: dict[str, Array] = field(repr=False)  # what the handles point to
+    kernel: ModuleType = field(repr=False)
+    checked: list[Any] = field(repr=False, default_factory=lambda: [None, None, None])  # by `animate_one`
 
     @property
     def decoded_count(self) -> int:
         """How many samples of clips have been decoded since the crowd was prepared."""
-        from keypose.kernels.crowd import DECODED
-
-        return int(self.handles[DECODED])
+        return int(self.handles[self.kernel.DECODED])
 
 
 def prepare(
@@ -51,19 +54,20 @@ def prepare(
     *,
     clips_each: int = 4,
     loop: bool | None = None,
-    pool_bytes: int = 1 << 20,
+    pool_bytes: int = 8 << 20,
 ) -> Crowd:
     """A crowd of ``count`` characters that each mix up to ``clips_each`` of these clips.
 
-    Decoded samples are kept in ``pool_bytes`` of memory (more where one block of characters needs more), however
-    many and long the clips are. ``loop`` overrides what the clips themselves say.
+    Decoded samples are kept in up to ``pool_bytes`` of memory (more where one block of characters needs more), however
+    many and long the clips are; where it does not hold what the crowd plays at one time, samples are decoded again and
+    again. ``loop`` overrides what the clips themselves say.
 
     Raises:
         ShapeError: where there are no clips, their joints are not those of the skeleton in the same order, or a number
             is not positive.
     """
     from keypose.kernels import crowd as kernel
-    from keypose.kernels.runtime import WIDTH, aligned, aligned_copy
+    from keypose.kernels.runtime import WIDTH, aligned
 
     clips = tuple(clips)
     if not clips:
@@ -112,13 +116,16 @@ def prepare(
         "poses": aligned(2 * kernel.ROWS * WIDTH * WIDTH),
         "sums": aligned(max(c.decoder.room for c in clips)),
         "room": aligned(max(c.decoder.stride for c in clips)),
+        "local": aligned(16 * (WIDTH + padded)),
+        "model": aligned(16 * joints),
     }
+    parts["local"][15 * WIDTH : 16 * WIDTH] = 1.0  # the last row of every matrix
     numbers = (joints, padded, len(clips), moved, scaled, knot_size, slots, 0, 0, 0)
     handles = np.array([*numbers, *(part.ctypes.data for part in parts.values())], np.int64)
-    parts["codes_like"] = aligned_copy([0], np.uint8)
     blocks = -(-count // WIDTH)
     models = aligned(blocks * joints * 12 * WIDTH).reshape(blocks, joints, 12, WIDTH)
-    return Crowd(clips, skeleton, count, clips_each, slots * knot_size * 4, models, handles, parts)
+    model = parts["model"].reshape(joints, 4, 4)
+    return Crowd(clips, skeleton, count, clips_each, slots * knot_size * 4, models, model, handles, parts, kernel)
 
 
 def animate(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -> Array:
@@ -136,22 +143,37 @@ def animate(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -
     Raises:
         ShapeError: where shapes disagree, a clip does not exist, a time is not finite or a weight is not >= 0.
     """
-    from keypose.kernels import crowd as kernel
-
     which, times, shares = clip_indices, times_s, weights
-    if not (_fits(which, np.int64) and _fits(times, np.float64) and _fits(shares, np.float64)) or not (
+    if not (_fits(which, _INT64, 2) and _fits(times, _FLOAT64, 2) and _fits(shares, _FLOAT64, 2)) or not (
         which.shape == times.shape == shares.shape
     ):
-        which, times, shares = _converted(crowd, clip_indices, times_s, weights)
+        which, times, shares = _converted(crowd.count, clip_indices, times_s, weights)
     shape = which.shape
     if shape[0] != crowd.count or not 1 <= shape[1] <= crowd.clips_each:
         raise ShapeError(
             f"clip_indices, times_s, weights: expected ({crowd.count}, K) with K from 1 to {crowd.clips_each}, got {shape}"
         )
-    wrong = kernel.animate(crowd.handles, crowd.parts["codes_like"], which, times, shares, crowd.models)
-    if wrong != kernel.FINE:
+    wrong = crowd.kernel.animate(crowd.handles, which, times, shares, crowd.models)
+    if wrong:
         _refuse(crowd, wrong, which, times, shares)
     return crowd.models
+
+
+def animate_one(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -> Array:
+    """As `animate`, for one character alone and quicker for that: arrays (K,).
+
+    Returns ``crowd.model``, model_from_joint (J, 4, 4) float32; the next call writes there again. Arrays that are handed in
+    again, with new numbers, need no second look at their types. Raises as `animate`.
+    """
+    known = crowd.checked
+    if clip_indices is known[0] and times_s is known[1] and weights is known[2]:
+        which, times, shares = known
+    else:
+        which, times, shares = _checked_one(crowd, clip_indices, times_s, weights)
+    wrong = crowd.kernel.animate_one(crowd.handles, which, times, shares)
+    if wrong:
+        _refuse(crowd, wrong, which[None], times[None], shares[None])
+    return crowd.model
 
 
 def model_matrices(crowd: Crowd, models: Array) -> Array:
@@ -173,20 +195,35 @@ def forget(crowd: Crowd) -> None:
 # --- checks ---------------------------------------------------------------------------------------------------------------
 
 
-def _fits(array: Any, dtype: Any) -> bool:
-    return type(array) is np.ndarray and array.dtype == dtype and array.ndim == 2 and array.flags.carray
+def _fits(array: Any, dtype: Any, axes: int) -> bool:
+    return type(array) is np.ndarray and array.dtype is dtype and array.ndim == axes and array.flags.carray
 
 
-def _converted(crowd: Crowd, which: Any, times: Any, weights: Any) -> tuple[Array, Array, Array]:
+def _checked_one(crowd: Crowd, clip_indices: Any, times_s: Any, weights: Any) -> tuple[Array, Array, Array]:
+    which, times, shares = clip_indices, times_s, weights
+    fit = _fits(which, _INT64, 1) and _fits(times, _FLOAT64, 1) and _fits(shares, _FLOAT64, 1)
+    fit = fit and len(which) == len(times) == len(shares)
+    if not fit:
+        which, times, shares = (a[0] for a in _converted(1, clip_indices, times_s, weights))
+    if not 1 <= len(which) <= crowd.clips_each:
+        raise ShapeError(
+            f"clip_indices, times_s, weights: expected (K,) with K from 1 to {crowd.clips_each}, got ({len(which)},)"
+        )
+    if fit:
+        crowd.checked[:] = which, times, shares
+    return which, times, shares
+
+
+def _converted(count: int, which: Any, times: Any, weights: Any) -> tuple[Array, Array, Array]:
     which = np.asarray(which)
     if which.dtype.kind not in "iu":
         raise ShapeError(f"clip_indices: expected integers, got {which.dtype}")
     try:
         which, times, weights = np.broadcast_arrays(which, np.asarray(times, np.float64), weights)
-        shape = (crowd.count, which.shape[-1] if which.ndim else 1)
+        shape = (count, which.shape[-1] if which.ndim else 1)
         which, times, weights = (np.broadcast_to(a, shape) for a in (which, times, weights))
     except ValueError as error:
-        raise ShapeError(f"clip_indices, times_s, weights: expected ({crowd.count}, K): {error}") from None
+        raise ShapeError(f"clip_indices, times_s, weights: expected ({count}, K): {error}") from None
     return (
         np.require(which, np.int64, ["C", "A", "W"]),
         np.require(times, np.float64, ["C", "A", "W"]),
@@ -195,8 +232,7 @@ def _converted(crowd: Crowd, which: Any, times: Any, weights: Any) -> tuple[Arra
 
 
 def _refuse(crowd: Crowd, wrong: int, which: Array, times: Array, weights: Array) -> None:
-    from keypose.kernels import crowd as kernel
-
+    kernel = crowd.kernel
     if wrong == kernel.BAD_CLIP:
         bad = (which < 0) | (which >= len(crowd.clips))
         name, values, expected = "clip_indices", which, f"0 to {len(crowd.clips) - 1}"
