@@ -114,6 +114,14 @@ def test_the_first_and_last_frame_and_both_sides_of_a_segment(rig: Any) -> None:
     assert off[frames % 1 == 0].max() < 1e-5  # nothing is interpolated
 
 
+@pytest.mark.parametrize("time_s", [1e300, -1e300, 1.7e308, -1.7e308])
+def test_times_at_the_end_of_the_numbers(rig: Any, time_s: float) -> None:
+    skeleton, clips = rig
+    made = crowd.prepare(clips, skeleton, 4)
+    got = crowd.animate(made, np.arange(4)[:, None], np.full((4, 1), time_s), np.ones((4, 1)))
+    assert np.all(np.isfinite(got))
+
+
 def test_a_small_pool_gives_the_same_bits(rig: Any) -> None:
     skeleton, clips = rig
     large, small = (crowd.prepare(clips, skeleton, 200, clips_each=1, pool_bytes=n) for n in (1 << 24, 1))

@@ -75,7 +75,9 @@ def _frame_at(time_s, start_s, rate_hz, frames, loop):
     position = (time_s - start_s) * rate_hz
     if loop and last > 0:
         position -= np.floor(position / last) * last
-    position = min(max(position, 0.0), last)
+    if not position >= 0.0:  # before the start; or so far away that it is no number any more
+        position = 0.0
+    position = min(position, last)
     frame = min(np.int64(position), max(frames - 2, 0))
     return frame, position - frame
 
