@@ -80,7 +80,7 @@ def loaded(chromium: Any, start: Start) -> Iterator[Callable[[str], StudioPage]]
             scene = arm_scene() if name == "arm.glb" else samples.open_scene(name)
             context = chromium.new_context(color_scheme="dark", reduced_motion="reduce", accept_downloads=True)
             contexts.append(context)
-            context.set_default_timeout(10_000)
+            context.set_default_timeout(30_000)
             pages[name] = StudioPage(context.new_page())
             pages[name].page.goto(start((name, scene)).url)
             pages[name].ready(1)
@@ -121,7 +121,7 @@ def visit(chromium: Any) -> Iterator[Callable[..., StudioPage]]:
         context = chromium.new_context(
             viewport={"width": size[0], "height": size[1]}, color_scheme=theme, reduced_motion="reduce"
         )
-        context.set_default_timeout(10_000)
+        context.set_default_timeout(30_000)
         contexts.append(context)
         studio = StudioPage(context.new_page())
         pages.append(studio)

@@ -34,9 +34,15 @@ def world_positions(scene: Scene, animation: int, time_s: float) -> np.ndarray:
 
 
 def pixels(studio: StudioPage) -> np.ndarray:
-    """The stage alone, drawn now."""
+    """The stage alone, drawn now, in full resolution (what moves may be drawn smaller until the next frame)."""
     url = studio.page.evaluate(
-        "() => { const { view } = keypose.studio; view.pose(); view.draw(); return view.canvas.toDataURL('image/png'); }"
+        """async () => {
+          for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame);
+          const { view } = keypose.studio;
+          view.pose();
+          view.draw();
+          return view.canvas.toDataURL('image/png');
+        }"""
     )
     png = base64.b64decode(url.split(",")[1])
     return np.asarray(Image.open(streams.BytesIO(png)).convert("RGB"), np.int16)
