@@ -225,32 +225,29 @@ def _turn_and_move(parents, rotations, translations, moving, roots, has_roots, f
 
 @kernel
 def _turn_and_move_lanes(parents, rotations, offsets, roots, row, out):
-    """A few joints are transposed and finished at a time: reading, arithmetic and writing overlap, and nothing but the
-    result leaves the nearest cache."""
+    """Bound by the cache that holds a whole clip: finishing a few joints per transpose, transposing a block ahead and
+    fetching the output's lines early were all measured and are no faster."""
     count, joints = lanes(rotations), parents.shape[0]
-    tile = max(count // 4, 1)  # joints whose rotations fill whole vectors
-    turns = scratch_like(rotations, tile * 4 * count)
+    turns = scratch_like(rotations, row * count)
     for block in range(rotations.shape[0] // (row * count)):
+        for column in range(0, row, count):
+            transpose(rotations, block * count * row + column, row, turns, column * count, count)
         base = block * joints * 7 * count
-        for first in range(0, joints, tile):
-            for column in range(0, tile * 4, count):
-                at = block * count * row + first * 4 + column
-                transpose(rotations, at, row, turns, column * count, count)
-            for j in range(first, min(first + tile, joints)):
-                here, p = base + j * 7 * count, parents[j]
-                w, x, y, z = load4(turns, (j - first) * 4 * count, count)
-                if p < 0:
-                    tx, ty, tz = load3(roots, block * 3 * count, count)
-                else:
-                    up = base + p * 7 * count
-                    pw, px, py, pz = load4(out, up, count)
-                    ox, oy, oz = load3(out, up + 4 * count, count)
-                    w, x, y, z = quat_multiply(pw, px, py, pz, w, x, y, z)
-                    ax, ay, az = _splat3(offsets, j * 3)
-                    tx, ty, tz = quat_rotate(pw, px, py, pz, ax, ay, az)
-                    tx, ty, tz = tx + ox, ty + oy, tz + oz
-                store4(out, here, count, w, x, y, z)
-                store3(out, here + 4 * count, count, tx, ty, tz)
+        for j in range(joints):
+            here, p = base + j * 7 * count, parents[j]
+            w, x, y, z = load4(turns, j * 4 * count, count)
+            if p < 0:
+                tx, ty, tz = load3(roots, block * 3 * count, count)
+            else:
+                up = base + p * 7 * count
+                pw, px, py, pz = load4(out, up, count)
+                ox, oy, oz = load3(out, up + 4 * count, count)
+                w, x, y, z = quat_multiply(pw, px, py, pz, w, x, y, z)
+                ax, ay, az = _splat3(offsets, j * 3)
+                tx, ty, tz = quat_rotate(pw, px, py, pz, ax, ay, az)
+                tx, ty, tz = tx + ox, ty + oy, tz + oz
+            store4(out, here, count, w, x, y, z)
+            store3(out, here + 4 * count, count, tx, ty, tz)
 
 
 @inlined
