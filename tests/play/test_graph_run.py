@@ -225,3 +225,20 @@ def test_states_travel_to_other_processes() -> None:
     copy = pickle.loads(pickle.dumps(state))
     one, two = (g.step(s, dt_s=0.05)[1] for s in (state, copy))
     assert one.pose.rotations.tobytes() == two.pose.rotations.tobytes()
+
+
+def test_a_run_goes_on_from_any_state_as_if_it_had_never_stopped() -> None:
+    program, whom = g.assemble(graphs.locomotion(), open_scene=samples.open_scene)
+    assert whom is samples.load("human").character
+    inputs = (g.Inputs(0.1, {"speed": 3.0}), g.Inputs(0.5, {"jump": True}))
+    whole = g.run_program(program, inputs, frame_count=61, rate_hz=60.0)
+    state, _ = g.step(g.init(program), dt_s=0.0)
+    for frame in range(1, 21):
+        state, _ = g.step(state, inputs[0].values if frame == 6 else {}, dt_s=1 / 60)
+    rest = g.run_program(program, (g.Inputs(10 / 60, {"jump": True}),), frame_count=41, start=state)
+    assert np.allclose(rest.root[1:], whole.root[21:], atol=1e-12)
+    assert np.array_equal(rest.motion.pose.rotations[1:], whole.motion.pose.rotations[21:])
+    assert [e.name for _, e in rest.events] == [e.name for _, e in whole.events]
+    other, _ = g.assemble(graphs.locomotion(), open_scene=samples.open_scene)
+    with pytest.raises(ShapeError, match="same program"):
+        g.run_program(other, frame_count=2, start=state)

@@ -39,7 +39,7 @@ from keypose.play.graph.definition import (
 )
 from keypose.play.graph.files import from_json, load, save, to_json
 from keypose.play.graph.program import Change, Fired
-from keypose.play.graph.running import Inputs, Run, in_place, inputs_from_json, run, run_program
+from keypose.play.graph.running import Inputs, Run, assemble, in_place, inputs_from_json, run, run_program
 from keypose.play.graph.stepping import Output, State, init, step
 from keypose.play.graph.trace import Trace
 
@@ -78,6 +78,7 @@ __all__ = [
     "Trace",
     "Transition",
     "TwoBone",
+    "assemble",
     "build",
     "check",
     "find_cycle",

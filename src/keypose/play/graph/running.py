@@ -18,7 +18,7 @@ from keypose.play.graph.build import Program, build
 from keypose.play.graph.checking import GraphError
 from keypose.play.graph.definition import Graph
 from keypose.play.graph.program import Change, Fired
-from keypose.play.graph.stepping import Output, ParameterValue, init, step
+from keypose.play.graph.stepping import Output, ParameterValue, State, init, step
 from keypose.play.graph.trace import Trace
 
 MOST_FRAMES = 1_000_000
@@ -76,19 +76,28 @@ def run(
         ShapeError: where the run is too long, or inputs are not in order of time.
     """
     count = _frames(duration_s, rate_hz)
+    program, whom = assemble(graph, open_scene=open_scene, character=character, clips=clips)
+    return run_program(program, inputs, frame_count=count, rate_hz=rate_hz, trace=trace, character=whom)
+
+
+def assemble(
+    graph: Graph,
+    *,
+    open_scene: Callable[[str], Scene] | None = None,
+    character: Character | Skeleton | None = None,
+    clips: Mapping[str, Motion | Clip] | None = None,
+) -> tuple[Program, Character | None]:
+    """Find the character and the clips that a graph names, and `build` it; None where a bare skeleton was given.
+
+    Raises:
+        GraphError: where the graph does not fit, or names nothing to play and nothing was given.
+    """
     whom = _character(graph, character, open_scene)
-    skeleton = whom.skeleton if isinstance(whom, Character) else whom
-    names = whom.morph_names if isinstance(whom, Character) else None
-    rest = whom.rest_morph_weights if isinstance(whom, Character) else None
-    program = build(graph, skeleton, _clips(graph, clips, open_scene), morph_names=names, rest_morph_weights=rest)
-    return run_program(
-        program,
-        inputs,
-        frame_count=count,
-        rate_hz=rate_hz,
-        trace=trace,
-        character=whom if isinstance(whom, Character) else None,
-    )
+    found = _clips(graph, clips, open_scene)
+    if not isinstance(whom, Character):
+        return build(graph, whom, found), None
+    names, rest = whom.morph_names, whom.rest_morph_weights
+    return build(graph, whom.skeleton, found, morph_names=names, rest_morph_weights=rest), whom
 
 
 def run_program(
@@ -99,11 +108,14 @@ def run_program(
     rate_hz: float = 60.0,
     trace: bool = False,
     character: Character | None = None,
+    start: State | None = None,
 ) -> Run:
-    """The same for a graph that is built already."""
+    """The same for a graph that is built already; from ``start``, a state of it, instead of its first one."""
     if any(b.at_s < a.at_s for a, b in itertools.pairwise(inputs)):
         raise ShapeError("inputs: expected times in rising order")
-    state = init(program)
+    if start is not None and start.program is not program:
+        raise ShapeError("start: expected a state of the same program")
+    state = init(program) if start is None else start
     left = list(inputs)
     outputs: list[Output] = []
     events: list[tuple[float, Fired]] = []
