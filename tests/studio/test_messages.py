@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keypose.errors import FormatError
-from keypose.studio import messages
+from keypose.studio import scene_messages
 from keypose.studio.container import Body, array, pack, unpack
 from keypose.studio.typescript import generate, target, typescript_type
 
@@ -26,8 +26,8 @@ def test_the_generated_typescript_is_up_to_date() -> None:
         (list[float], "number[]"),
         (int | None, "number | null"),
         (dict[str, int], "Record<string, number>"),
-        (list[messages.ClipData | messages.MotionData], "(ClipData | MotionData)[]"),
-        (messages.ArrayRef, "ArrayRef"),
+        (list[scene_messages.ClipData | scene_messages.MotionData], "(ClipData | MotionData)[]"),
+        (scene_messages.ArrayRef, "ArrayRef"),
     ],
 )
 def test_annotations_have_a_typescript_spelling(annotation: object, spelling: str) -> None:

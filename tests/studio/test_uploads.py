@@ -25,8 +25,8 @@ def opened(data: bytes) -> tuple[list[tuple[str, str]], list[str], list[Path]]:
             raise FormatError("expected something better", where="line 1", path=path)
         return Scene(format=text)
 
-    scenes, errors = open_upload(data, read, lambda _name, _fraction: None)
-    return [(name, scene.format) for name, scene in scenes], errors, paths
+    found = open_upload(data, read, lambda _name, _fraction: None)
+    return [(name, scene.format) for name, scene in found.scenes], found.errors, paths
 
 
 @pytest.mark.parametrize(
@@ -104,6 +104,6 @@ def test_real_files_open(tmp_path: Path) -> None:
 
     io.save(arm_scene(), tmp_path / "arm.glb")
     data = upload(("arm.glb", (tmp_path / "arm.glb").read_bytes()))
-    scenes, errors = open_upload(data, open_path, lambda _name, _fraction: None)
-    assert errors == []
-    assert scenes[0][1].character.skeleton.joint_count >= 4
+    found = open_upload(data, open_path, lambda _name, _fraction: None)
+    assert found.errors == []
+    assert found.scenes[0][1].character.skeleton.joint_count >= 4

@@ -1,6 +1,6 @@
 // Generated from src/keypose/studio/messages.py by `python -m keypose.studio.typescript`. Do not edit.
 
-export const PROTOCOL = 1;
+export const PROTOCOL = 2;
 
 /** An array in the body of the container: bytes ``offset`` to ``offset + bytes``, row-major. */
 export interface ArrayRef {
@@ -143,7 +143,13 @@ export interface SceneEntry {
   bytes: number;
 }
 
-/** First message of a connection: what is open now. */
+/** An animation graph that can be played. */
+export interface GraphEntry {
+  id: string;
+  name: string;
+}
+
+/** First message of a connection: what is open now, and what the page begins with. */
 export interface Hello {
   type: "hello";
   protocol: number;
@@ -151,6 +157,9 @@ export interface Hello {
   upload_limit_bytes: number;
   scenes: SceneEntry[];
   expected: number;
+  graphs: GraphEntry[];
+  start: "view" | "play";
+  graph: string;
 }
 
 /** A scene was opened. */
@@ -188,14 +197,6 @@ export interface Notice {
   message: string;
 }
 
-export type ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice;
-
-/** A server message and its number; the browser acknowledges the number. */
-export interface Envelope {
-  sequence: number;
-  message: Hello | SceneReady | SceneClosed | Progress | Failure | Notice;
-}
-
 /** All messages up to ``sequence`` were handled; the server may send newer ones. */
 export interface Acknowledge {
   type: "acknowledge";
@@ -214,8 +215,6 @@ export interface OpenSample {
   name: string;
 }
 
-export type ClientMessage = Acknowledge | CloseScene | OpenSample;
-
 /** One dropped file: its name (with folders, where a folder was dropped) and bytes. */
 export interface UploadFile {
   name: string;
@@ -232,4 +231,207 @@ export interface Upload {
 export interface UploadResult {
   opened: SceneEntry[];
   errors: string[];
+  graphs: GraphEntry[];
 }
+
+/** A graph was opened (again, where its id is known). */
+export interface GraphReady {
+  type: "graph_ready";
+  graph: GraphEntry;
+}
+
+/** An input of the graph; ``default`` has one number, or three for a vector. */
+export interface PlayParameter {
+  name: string;
+  kind: "float" | "int" | "bool" | "trigger" | "vector";
+  default: number[];
+  minimum: number | null;
+  maximum: number | null;
+  half_life_s: number;
+}
+
+/** A number of a node: the parameter that gives it, or (``parameter`` is empty) its value. */
+export interface PlayNumber {
+  field: string;
+  parameter: string;
+  value: number;
+}
+
+/** A transition of a state machine, its conditions in words. */
+export interface PlayTransition {
+  source: string;
+  target: string;
+  kind: "crossfade" | "frozen" | "inertial" | "dead";
+  duration_s: number;
+  when: string;
+}
+
+/** A node of the graph's tree, parents before children. */
+export interface PlayNode {
+  name: string;
+  kind: string;
+  parent: number;
+  slot: string;
+  at: number[];
+  clip: string;
+  target: string;
+  sync: string;
+  mask: string;
+  numbers: PlayNumber[];
+  states: string[];
+  transitions: PlayTransition[];
+  triangles: number[][];
+}
+
+/** An event of a clip. */
+export interface PlayEventMark {
+  name: string;
+  time_s: number;
+}
+
+/** A clip of the graph. */
+export interface PlayClip {
+  name: string;
+  duration_s: number;
+  events: PlayEventMark[];
+}
+
+/** A point that touches the ground. */
+export interface PlayContact {
+  name: string;
+  joint: number;
+}
+
+/** A graph plays: everything about it that stays as it is; frames name parts of it by their numbers. */
+export interface PlayReady {
+  type: "play_ready";
+  player: number;
+  graph: GraphEntry;
+  scene: SceneEntry;
+  parameters: PlayParameter[];
+  nodes: PlayNode[];
+  clips: PlayClip[];
+  contacts: PlayContact[];
+  contributors: string[];
+  rate_hz: number;
+}
+
+/** An event that was fired in a step. */
+export interface PlayEvent {
+  name: string;
+  data: string;
+  clip: string;
+  node: string;
+  weight: number;
+}
+
+/** A transition that began in a step. */
+export interface PlayChange {
+  machine: string;
+  source: string;
+  target: string;
+  kind: string;
+  duration_s: number;
+  interrupted: boolean;
+}
+
+/** One step of a playing graph. */
+export interface PlayFrame {
+  type: "play_frame";
+  player: number;
+  number: number;
+  time_s: number;
+  dt_s: number;
+  heard: number;
+  root: number[];
+  pose: ArrayRef;
+  morphs: ArrayRef;
+  contacts: ArrayRef;
+  parameters: ArrayRef;
+  shares: ArrayRef;
+  phases: ArrayRef;
+  machines: ArrayRef;
+  syncs: ArrayRef;
+  joint: number;
+  contributions: ArrayRef;
+  events: PlayEvent[];
+  changes: PlayChange[];
+  control_us: number;
+  pose_us: number;
+  round_trip_ms: number;
+  recorded_s: number | null;
+}
+
+/** A recording was baked; ``GET api/takes/{id}/{format}`` (glb, bvh) gives the file. */
+export interface PlayTake {
+  type: "play_take";
+  player: number;
+  id: string;
+  name: string;
+  frames: number;
+  rate_hz: number;
+  duration_s: number;
+}
+
+/** Play this graph from its first state, instead of what this page played before. */
+export interface PlayOpen {
+  type: "play_open";
+  graph: string;
+}
+
+/** Play nothing. */
+export interface PlayClose {
+  type: "play_close";
+}
+
+/** Set parameters: one number each, three for a vector. */
+export interface PlayInput {
+  type: "play_input";
+  sequence: number;
+  values: Record<string, number[]>;
+}
+
+/** Frames up to this number were drawn; without it no further steps are made. */
+export interface PlayAcknowledge {
+  type: "play_acknowledge";
+  number: number;
+}
+
+/** How time runs: not at all, slowed down, or as it is. */
+export interface PlayPace {
+  type: "play_pace";
+  paused: boolean;
+  speed: number;
+}
+
+/** Pause, and make one step of 1/60 s. */
+export interface PlayStep {
+  type: "play_step";
+}
+
+/** Back to the graph's first state at the origin. */
+export interface PlayReset {
+  type: "play_reset";
+}
+
+/** Say in every frame which clip gives how much of this joint; -1 for none. */
+export interface PlayExplain {
+  type: "play_explain";
+  joint: number;
+}
+
+/** Begin to record, or stop and bake what was recorded. */
+export interface PlayRecord {
+  type: "play_record";
+  on: boolean;
+}
+
+export type ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake;
+
+/** A server message and its number; the browser acknowledges the number. */
+export interface Envelope {
+  sequence: number;
+  message: Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake;
+}
+
+export type ClientMessage = Acknowledge | CloseScene | OpenSample | PlayOpen | PlayClose | PlayInput | PlayAcknowledge | PlayPace | PlayStep | PlayReset | PlayExplain | PlayRecord;

@@ -60,21 +60,18 @@ def options(
 
 @app.command(epilog=_examples("keypose demo", "keypose demo --no-browser --port 8123"))
 def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False, allow_remote: Remote = False) -> None:
-    """Open the studio on the built-in character, walking."""
+    """Open the studio on the built-in character, walking; its Play page lets you drive it."""
     from keypose.cli.studio import open_studio
 
     open_studio(["sample:human"], host=host, port=port, open_browser=not no_browser, allow_remote=allow_remote)
 
 
-_STUDIO_EXAMPLES = _examples(
-    "keypose play walk.bvh character.glb", "keypose play sample:walk", "keypose studio --no-browser --port 8123"
-)
 _StudioInputs = Annotated[
     list[str] | None, typer.Argument(metavar="[FILE]...", help="Files, or sample:NAME.", show_default=False)
 ]
 
 
-@app.command(epilog=_STUDIO_EXAMPLES)
+@app.command(epilog=_examples("keypose studio walk.bvh character.glb", "keypose studio --no-browser --port 8123"))
 def studio(
     files: _StudioInputs = None,
     host: Host = "127.0.0.1",
@@ -88,7 +85,32 @@ def studio(
     open_studio(files or [], host=host, port=port, open_browser=not no_browser, allow_remote=allow_remote)
 
 
-app.command(name="play", epilog=_STUDIO_EXAMPLES, help="Play files in the browser studio (the same as studio).")(studio)
+@app.command(
+    epilog=_examples(
+        "keypose play [dim]# the built-in character: WASD, Shift, Space[/dim]",
+        "keypose play game.json [dim]# your graph; its clips lie beside it[/dim]",
+        "keypose play walk.bvh character.glb [dim]# no graph: to look at[/dim]",
+    )
+)
+def play(
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[GRAPH|FILE]...",
+            help="A graph's JSON, locomotion, or files to look at; locomotion if not given.",
+            show_default=False,
+        ),
+    ] = None,
+    host: Host = "127.0.0.1",
+    port: Port = 0,
+    no_browser: NoBrowser = False,
+    allow_remote: Remote = False,
+) -> None:
+    """Drive a character through an animation graph with keyboard or gamepad, in the browser studio."""
+    from keypose.cli.studio import open_studio
+
+    references = files or ["sample:locomotion"]
+    open_studio(references, host=host, port=port, open_browser=not no_browser, allow_remote=allow_remote)
 
 
 @app.command(

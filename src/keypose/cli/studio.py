@@ -10,8 +10,10 @@ from keypose.errors import FormatError
 
 def open_studio(references: list[str], *, host: str, port: int, open_browser: bool, allow_remote: bool) -> None:
     """Serve the studio until Ctrl-C; prints its URL once it listens."""
+    from keypose.samples.graphs import names
+
     for reference in references:  # a wrong path is told before anything is started
-        if not reference.startswith("sample:") and not Path(reference).is_file():
+        if not reference.startswith("sample:") and reference not in names() and not Path(reference).is_file():
             what = "is a folder; expected a file" if Path(reference).is_dir() else "no such file"
             raise FormatError(what, path=reference)
     from keypose.studio import server

@@ -6,6 +6,7 @@ GET       ``/assets/…``              its scripts and styles (the same for ever
 WS        ``/api/events?token=…``    messages, see `keypose.studio.messages`
 GET       ``/api/scenes/{id}``       one scene as a binary container
 POST      ``/api/scenes``            dropped files as a binary container
+GET       ``/api/takes/{id}/{kind}`` a recording of the play page as a file: glb or bvh
 ========  =========================  ======================================================
 
 Only these exist. Static files are read into memory at start and looked up by their exact path, so there is no path to
@@ -16,13 +17,17 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import json
+import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keypose.errors import KeyposeError
+from keypose.model import Scene
+from keypose.studio import messages
+from keypose.studio.requests import parse_request
 from keypose.studio.session import Session
 
 if TYPE_CHECKING:
@@ -30,6 +35,8 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
     from starlette.websockets import WebSocket
+
+TAKE_KINDS = ("glb", "bvh")
 
 _TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -108,21 +115,45 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             return JSONResponse({"opened": [], "errors": [str(error)]}, 400)
         return JSONResponse(dataclasses.asdict(result))
 
+    async def take(request: Request) -> Response:
+        recorded, kind = session.takes.get(request.path_params["id"]), request.path_params["kind"]
+        if recorded is None or kind not in TAKE_KINDS:
+            return PlainTextResponse("404: no such recording\n", 404)
+        try:
+            data = await asyncio.to_thread(written, recorded, kind)
+        except KeyposeError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        return Response(data, media_type="application/octet-stream")
+
     return Starlette(
         routes=[
             Route("/", page),
             WebSocketRoute("/api/events", lambda socket: _events(session, socket)),
             Route("/api/scenes/{id}", scene),
             Route("/api/scenes", upload, methods=["POST"]),
+            Route("/api/takes/{id}/{kind}", take),
             Route("/{path:path}", asset),
         ]
     )
 
 
+def written(scene: Scene, kind: str) -> bytes:
+    """A scene as the bytes of a file; raises `KeyposeError` where the format cannot hold it."""
+    from keypose import io
+
+    with tempfile.TemporaryDirectory(prefix="keypose-") as folder:
+        path = Path(folder, f"take.{kind}")
+        io.save(scene, path)
+        return path.read_bytes()
+
+
 async def _events(session: Session, socket: WebSocket) -> None:
     """Send what the session says to one browser; take its acknowledgements and requests."""
+    from keypose.studio.desk import PlayDesk
+
     await socket.accept()
     outbox = session.join()
+    desk = PlayDesk(session, outbox)
 
     async def send() -> None:
         while True:
@@ -132,29 +163,23 @@ async def _events(session: Session, socket: WebSocket) -> None:
     tasks: set[asyncio.Task[None]] = set()  # the event loop itself keeps only weak references
     try:
         async for text in socket.iter_text():
-            message = _message(text)
-            match message.get("type"):
-                case "acknowledge" if isinstance(message.get("sequence"), int):
-                    outbox.acknowledge(message["sequence"])
-                case "close_scene":
-                    session.close(str(message.get("id")))
-                case "open_sample":
-                    opening = asyncio.create_task(session.open_sample(str(message.get("name"))))
+            match parse_request(text):
+                case messages.Acknowledge(sequence=sequence):
+                    outbox.acknowledge(sequence)
+                case messages.CloseScene(id=id):
+                    session.close(id)
+                case messages.OpenSample(name=name):
+                    opening = asyncio.create_task(session.open_sample(name))
                     tasks.add(opening)
                     opening.add_done_callback(tasks.discard)
-                case _:
+                case None:
                     await socket.close(1003, "unknown message")
                     break
+                case request:
+                    desk.handle(request)
     finally:
+        desk.close()
         session.leave(outbox)
         sender.cancel()
         with suppress(asyncio.CancelledError, RuntimeError, OSError):
             await sender
-
-
-def _message(text: str) -> dict[str, Any]:
-    try:
-        message = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return message if isinstance(message, dict) else {}

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from keypose.errors import FormatError
-from keypose.studio.messages import ArrayRef
+from keypose.studio.scene_messages import ArrayRef
 
 MAGIC = b"KPS1"
 _ELEMENTS = {

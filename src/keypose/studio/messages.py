@@ -1,7 +1,7 @@
 """What server and browser say to each other, as dataclasses.
 
-The TypeScript twins in ``client/src/generated/messages.ts`` are generated from this file (`keypose.studio.typescript`);
-a test keeps the two equal. Every message and every scene travels in one binary container (`keypose.studio.container`):
+The TypeScript twins in ``client/src/generated/messages.ts`` are generated from this file and from
+`keypose.studio.scene_messages` (`keypose.studio.typescript`); a test keeps the two equal. Every message and every scene travels in one binary container (`keypose.studio.container`):
 a JSON header, which is one of these dataclasses, and aligned arrays, which the header names by `ArrayRef`.
 """
 
@@ -10,175 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-PROTOCOL = 1
+from keypose.studio.scene_messages import ArrayRef
+
+PROTOCOL = 2
 """Version of the messages; the client refuses another one and says so."""
-
-Element = Literal["float32", "float64", "uint8", "uint16", "uint32", "int32"]
-
-
-@dataclass(frozen=True, slots=True)
-class ArrayRef:
-    """An array in the body of the container: bytes ``offset`` to ``offset + bytes``, row-major."""
-
-    offset: int
-    bytes: int
-    element: Element
-    shape: list[int]
-
-
-# ---- a scene ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class SkeletonData:
-    """Joints, parents before children; rest translations (J, 3), rotations (J, 4) wxyz, scales (J, 3)."""
-
-    names: list[str]
-    parents: ArrayRef
-    translations: ArrayRef
-    rotations: ArrayRef
-    scales: ArrayRef
-    end_joints: list[int]
-    end_offsets: ArrayRef
-
-
-@dataclass(frozen=True, slots=True)
-class PictureData:
-    """An encoded picture, as the file held it."""
-
-    name: str
-    mime_type: str
-    bytes: ArrayRef
-
-
-@dataclass(frozen=True, slots=True)
-class MaterialData:
-    """A surface; colours are linear."""
-
-    name: str
-    base_color: list[float]
-    metallic: float
-    roughness: float
-    emissive: list[float]
-    image: int | None
-    alpha_mode: str
-    alpha_cutoff: float
-    double_sided: bool
-    unlit: bool
-
-
-@dataclass(frozen=True, slots=True)
-class SkinData:
-    """Palette (P,), inverse bind matrices (P, 4, 4), four influences per vertex (V, 4) into the palette."""
-
-    palette: ArrayRef
-    joint_from_mesh: ArrayRef
-    joints: ArrayRef
-    weights: ArrayRef
-
-
-@dataclass(frozen=True, slots=True)
-class MorphData:
-    """Sparse delta targets; target m moves ``vertices[starts[m]:starts[m + 1]]`` and is driven by ``channels[m]``."""
-
-    channels: ArrayRef
-    starts: ArrayRef
-    vertices: ArrayRef
-    position_deltas: ArrayRef
-    normal_deltas: ArrayRef | None
-
-
-@dataclass(frozen=True, slots=True)
-class PartData:
-    """One mesh: skinned, or bound to one joint."""
-
-    name: str
-    material: MaterialData
-    positions: ArrayRef
-    triangles: ArrayRef
-    normals: ArrayRef | None
-    uvs: ArrayRef | None
-    colors: ArrayRef | None
-    skin: SkinData | None
-    joint: int | None
-    morphs: MorphData | None
-
-
-@dataclass(frozen=True, slots=True)
-class CharacterData:
-    """A skeleton with its parts and morph channels."""
-
-    name: str
-    skeleton: SkeletonData
-    parts: list[PartData]
-    morph_names: list[str]
-    rest_morph_weights: ArrayRef
-    roles: dict[str, int]
-
-
-@dataclass(frozen=True, slots=True)
-class CurveData:
-    """Keyframes of one property; the client evaluates them exactly as `keypose.evaluate.sample_curve` does.
-
-    Times (K,) float64, values and tangents (K, C) in the precision of the file, modes (K,).
-    """
-
-    target: str
-    property: Literal["translation", "rotation", "scale", "weight"]
-    times: ArrayRef
-    values: ArrayRef
-    modes: ArrayRef
-    in_tangents: ArrayRef | None
-    out_tangents: ArrayRef | None
-    before: str
-    after: str
-
-
-@dataclass(frozen=True, slots=True)
-class ClipData:
-    """Sparse animation: curves."""
-
-    kind: Literal["clip"]
-    name: str
-    start_s: float
-    duration_s: float
-    rate_hz: float | None
-    curves: list[CurveData]
-
-
-@dataclass(frozen=True, slots=True)
-class MotionData:
-    """Dense animation: arrays of T frames; an array that does not change is sent once, with one frame."""
-
-    kind: Literal["motion"]
-    name: str
-    start_s: float
-    duration_s: float
-    rate_hz: float
-    frames: int
-    joint_names: list[str]
-    translations: ArrayRef
-    rotations: ArrayRef
-    scales: ArrayRef
-    morph_names: list[str]
-    morph_weights: ArrayRef | None
-
-
-@dataclass(frozen=True, slots=True)
-class SceneData:
-    """All that the browser needs of one opened file; the header of ``GET api/scenes/{id}``."""
-
-    type: Literal["scene"]
-    id: str
-    name: str
-    format: str
-    unit_m: float
-    up: str
-    notes: list[str]
-    images: list[PictureData]
-    characters: list[CharacterData]
-    animations: list[ClipData | MotionData]
-
 
 # ---- server to browser -----------------------------------------------------------------------------------------------
 
@@ -193,8 +28,16 @@ class SceneEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class GraphEntry:
+    """An animation graph that can be played."""
+
+    id: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class Hello:
-    """First message of a connection: what is open now."""
+    """First message of a connection: what is open now, and what the page begins with."""
 
     type: Literal["hello"]
     protocol: int
@@ -203,6 +46,10 @@ class Hello:
     scenes: list[SceneEntry]
     expected: int
     """How many scenes will be there once those still being prepared are ready."""
+    graphs: list[GraphEntry]
+    start: Literal["view", "play"]
+    graph: str
+    """Id of the graph that is played first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,17 +97,6 @@ class Notice:
     message: str
 
 
-ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice
-
-
-@dataclass(frozen=True, slots=True)
-class Envelope:
-    """A server message and its number; the browser acknowledges the number."""
-
-    sequence: int
-    message: ServerMessage
-
-
 # ---- browser to server -----------------------------------------------------------------------------------------------
 
 
@@ -288,9 +124,6 @@ class OpenSample:
     name: str
 
 
-ClientMessage = Acknowledge | CloseScene | OpenSample
-
-
 @dataclass(frozen=True, slots=True)
 class UploadFile:
     """One dropped file: its name (with folders, where a folder was dropped) and bytes."""
@@ -313,3 +146,287 @@ class UploadResult:
 
     opened: list[SceneEntry] = field(default_factory=list[SceneEntry])
     errors: list[str] = field(default_factory=list[str])
+    graphs: list[GraphEntry] = field(default_factory=list[GraphEntry])
+
+
+# ---- play, server to browser -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class GraphReady:
+    """A graph was opened (again, where its id is known)."""
+
+    type: Literal["graph_ready"]
+    graph: GraphEntry
+
+
+@dataclass(frozen=True, slots=True)
+class PlayParameter:
+    """An input of the graph; ``default`` has one number, or three for a vector."""
+
+    name: str
+    kind: Literal["float", "int", "bool", "trigger", "vector"]
+    default: list[float]
+    minimum: float | None
+    maximum: float | None
+    half_life_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayNumber:
+    """A number of a node: the parameter that gives it, or (``parameter`` is empty) its value."""
+
+    field: str
+    parameter: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayTransition:
+    """A transition of a state machine, its conditions in words."""
+
+    source: str
+    target: str
+    kind: Literal["crossfade", "frozen", "inertial", "dead"]
+    duration_s: float
+    when: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlayNode:
+    """A node of the graph's tree, parents before children.
+
+    ``slot``: what it is to its parent (a state's name, ``base``, ``layer``). ``at``: its place in the parent's blend
+    space. ``target``: the vector parameter that an aiming node follows.
+    """
+
+    name: str
+    kind: str
+    parent: int
+    slot: str
+    at: list[float]
+    clip: str
+    target: str
+    sync: str
+    mask: str
+    numbers: list[PlayNumber]
+    states: list[str]
+    transitions: list[PlayTransition]
+    triangles: list[list[int]]
+    """Of a 2D blend space: triples of its children, counted from 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlayEventMark:
+    """An event of a clip."""
+
+    name: str
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayClip:
+    """A clip of the graph."""
+
+    name: str
+    duration_s: float
+    events: list[PlayEventMark]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayContact:
+    """A point that touches the ground."""
+
+    name: str
+    joint: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlayReady:
+    """A graph plays: everything about it that stays as it is; frames name parts of it by their numbers.
+
+    ``contributors``: what a joint's rotation can come from: the clips, then ``memory`` and ``rest``.
+    """
+
+    type: Literal["play_ready"]
+    player: int
+    graph: GraphEntry
+    scene: SceneEntry
+    parameters: list[PlayParameter]
+    nodes: list[PlayNode]
+    clips: list[PlayClip]
+    contacts: list[PlayContact]
+    contributors: list[str]
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayEvent:
+    """An event that was fired in a step."""
+
+    name: str
+    data: str
+    clip: str
+    node: str
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayChange:
+    """A transition that began in a step."""
+
+    machine: str
+    source: str
+    target: str
+    kind: str
+    duration_s: float
+    interrupted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PlayFrame:
+    """One step of a playing graph.
+
+    ``heard``: the last `PlayInput` that it obeys. ``root``: x, z (metres), yaw (radians). Arrays, all float32: ``pose``
+    (J, 10) local translation, rotation wxyz, scale; ``morphs`` (M,); ``contacts`` (E,) 0 to 1; ``parameters`` (P,) as they
+    are used, vectors as three; ``shares`` (N,) how much of its parent each node gives; ``phases`` (N,) 0 to 1 for clips,
+    -1 for nodes that do not play; ``machines`` (S, 4) state, source, kind (0 none, then in the order of
+    `PlayTransition.kind`), share; ``syncs`` (Y, 3) node, marker, share of the way to the next; ``contributions`` (C,) to
+    ``joint``, empty for joint -1.
+    """
+
+    type: Literal["play_frame"]
+    player: int
+    number: int
+    time_s: float
+    dt_s: float
+    heard: int
+    root: list[float]
+    pose: ArrayRef
+    morphs: ArrayRef
+    contacts: ArrayRef
+    parameters: ArrayRef
+    shares: ArrayRef
+    phases: ArrayRef
+    machines: ArrayRef
+    syncs: ArrayRef
+    joint: int
+    contributions: ArrayRef
+    events: list[PlayEvent]
+    changes: list[PlayChange]
+    control_us: float
+    pose_us: float
+    round_trip_ms: float
+    recorded_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PlayTake:
+    """A recording was baked; ``GET api/takes/{id}/{format}`` (glb, bvh) gives the file."""
+
+    type: Literal["play_take"]
+    player: int
+    id: str
+    name: str
+    frames: int
+    rate_hz: float
+    duration_s: float
+
+
+# ---- play, browser to server -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class PlayOpen:
+    """Play this graph from its first state, instead of what this page played before."""
+
+    type: Literal["play_open"]
+    graph: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlayClose:
+    """Play nothing."""
+
+    type: Literal["play_close"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayInput:
+    """Set parameters: one number each, three for a vector."""
+
+    type: Literal["play_input"]
+    sequence: int
+    values: dict[str, list[float]]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayAcknowledge:
+    """Frames up to this number were drawn; without it no further steps are made."""
+
+    type: Literal["play_acknowledge"]
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlayPace:
+    """How time runs: not at all, slowed down, or as it is."""
+
+    type: Literal["play_pace"]
+    paused: bool
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class PlayStep:
+    """Pause, and make one step of 1/60 s."""
+
+    type: Literal["play_step"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayReset:
+    """Back to the graph's first state at the origin."""
+
+    type: Literal["play_reset"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlayExplain:
+    """Say in every frame which clip gives how much of this joint; -1 for none."""
+
+    type: Literal["play_explain"]
+    joint: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlayRecord:
+    """Begin to record, or stop and bake what was recorded."""
+
+    type: Literal["play_record"]
+    on: bool
+
+
+PlayRequest = (
+    PlayOpen | PlayClose | PlayInput | PlayAcknowledge | PlayPace | PlayStep | PlayReset | PlayExplain | PlayRecord
+)
+"""What goes to the page's own player."""
+
+
+# ---- all of them (the parts above stand alone; what a new part adds is named here) -----------------------------------
+
+
+ServerMessage = (
+    Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """A server message and its number; the browser acknowledges the number."""
+
+    sequence: int
+    message: ServerMessage
+
+
+ClientMessage = Acknowledge | CloseScene | OpenSample | PlayRequest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 
-from keypose.studio.container import pack
+from keypose.studio.container import Body, pack
 from keypose.studio.messages import Envelope, ServerMessage
 
 WINDOW = 8
@@ -21,15 +21,15 @@ class Outbox:
 
     def __init__(self, window: int = WINDOW) -> None:
         self.dropped = 0
-        self._waiting: OrderedDict[str | int, ServerMessage] = OrderedDict()
+        self._waiting: OrderedDict[str | int, tuple[ServerMessage, Body | None]] = OrderedDict()
         self._window = window
         self._sent = 0
         self._acknowledged = 0
         self._count = 0
         self._changed = asyncio.Event()
 
-    def put(self, message: ServerMessage, replaces: str | None = None) -> None:
-        """Queue a message."""
+    def put(self, message: ServerMessage, replaces: str | None = None, body: Body | None = None) -> None:
+        """Queue a message, with the arrays that it names."""
         key: str | int
         if replaces is None:
             self._count += 1
@@ -37,7 +37,7 @@ class Outbox:
         else:
             key = replaces
             self.dropped += self._waiting.pop(key, None) is not None
-        self._waiting[key] = message
+        self._waiting[key] = message, body
         self._changed.set()
 
     def acknowledge(self, sequence: int) -> None:
@@ -51,6 +51,6 @@ class Outbox:
         while not self._waiting or self._sent - self._acknowledged >= self._window:
             self._changed.clear()
             await self._changed.wait()
-        _, message = self._waiting.popitem(last=False)
+        _, (message, body) = self._waiting.popitem(last=False)
         self._sent += 1
-        return pack(Envelope(self._sent, message))
+        return pack(Envelope(self._sent, message), body)

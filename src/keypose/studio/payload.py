@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from keypose.model import Character, Clip, Image, Material, MorphSet, Motion, Part, Scene, Skeleton, Skin
-from keypose.studio import messages
+from keypose.studio import scene_messages as messages
 from keypose.studio.container import Body, pack
 
 INFLUENCES = 4

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING
 from keypose.errors import KeyposeError, ShapeError
 from keypose.model import Scene
 from keypose.studio.guard import Guard, bracketed, is_loopback
-from keypose.studio.session import Session, open_references
+from keypose.studio.session import UPLOAD_LIMIT_BYTES, Session, open_references
 
 if TYPE_CHECKING:
     import uvicorn
+
+    from keypose.studio.graphs import OpenedGraph
 
 LOOPBACK = "127.0.0.1"
 
@@ -33,8 +35,9 @@ def serve(
 ) -> None:
     """Open files in the studio and serve it until Ctrl-C.
 
-    ``references`` are paths or ``sample:`` names; ``port`` 0 takes a free one. As soon as the server listens, ``ready``
-    is called with the URL; without ``ready`` one line with the URL is printed.
+    ``references`` are paths or ``sample:`` names of scenes and animation graphs; where there is a graph, the page begins
+    with playing it. ``port`` 0 takes a free one. As soon as the server listens, ``ready`` is called with the URL; without
+    ``ready`` one line with the URL is printed.
 
     Raises:
         FormatError, UnknownName: where a file cannot be opened (before anything is served).
@@ -46,11 +49,19 @@ def serve(
             f"host: '{host}' can be reached from other machines, and whoever has the URL sees the opened files; "
             "say that you want this with --allow-remote"
         )
-    StudioServer(open_references(references), host, port, open_browser=open_browser, ready=ready).run()
+    from keypose.studio.graphs import is_graph_name, open_graph
+
+    named = [r for r in references if is_graph_name(r)]
+    graphs = [open_graph(reference, f"file:{n}") for n, reference in enumerate(named)]
+    scenes = open_references(r for r in references if r not in named)
+    StudioServer(scenes, host, port, graphs=graphs, open_browser=open_browser, ready=ready).run()
 
 
 class StudioServer:
-    """A studio that `run` serves and `stop` (from any thread) ends."""
+    """A studio that `run` serves and `stop` (from any thread) ends.
+
+    The built-in graphs can always be played; where others are given, the page begins with the last of those.
+    """
 
     def __init__(
         self,
@@ -58,6 +69,7 @@ class StudioServer:
         host: str = LOOPBACK,
         port: int = 0,
         *,
+        graphs: Sequence[OpenedGraph] = (),
         open_browser: bool = False,
         ready: Callable[[str], None] | None = None,
         upload_limit_bytes: int | None = None,
@@ -65,7 +77,7 @@ class StudioServer:
         from keypose.studio.app import read_static
 
         self.token = secrets.token_urlsafe(24)
-        self._scenes = tuple(scenes)
+        self._scenes, self._graphs = tuple(scenes), tuple(graphs)
         self._static = read_static()
         self._open_browser = open_browser
         self._ready = ready or _print_url
@@ -99,8 +111,13 @@ class StudioServer:
         import uvicorn
 
         from keypose.studio.app import build_app
+        from keypose.studio.graphs import built_ins
 
-        session = Session() if self._upload_limit_bytes is None else Session(self._upload_limit_bytes)
+        session = Session(
+            UPLOAD_LIMIT_BYTES if self._upload_limit_bytes is None else self._upload_limit_bytes,
+            graphs=[*built_ins(), *self._graphs],
+            start="play" if self._graphs else "view",
+        )
         app = Guard(build_app(session, self._static), token=self.token, host=self.host, port=self.port)
         config = uvicorn.Config(
             app,

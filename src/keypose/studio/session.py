@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from keypose import __version__
 from keypose.errors import KeyposeError
@@ -18,14 +19,33 @@ from keypose.studio.outbox import Outbox
 from keypose.studio.payload import encode
 from keypose.studio.uploads import open_upload
 
+if TYPE_CHECKING:
+    from keypose.studio.desk import PlayDesk
+    from keypose.studio.graphs import OpenedGraph
+
 UPLOAD_LIMIT_BYTES = 512 * 1024 * 1024
 
 
 class Session:
-    """Scenes by id, kept as ready payloads."""
+    """Scenes by id, kept as ready payloads, and graphs by id.
 
-    def __init__(self, upload_limit_bytes: int = UPLOAD_LIMIT_BYTES) -> None:
+    ``start``: whether pages begin with looking at scenes, or with playing the last of the graphs.
+    """
+
+    def __init__(
+        self,
+        upload_limit_bytes: int = UPLOAD_LIMIT_BYTES,
+        graphs: Sequence[OpenedGraph] = (),
+        start: Literal["view", "play"] = "view",
+    ) -> None:
         self.upload_limit_bytes = upload_limit_bytes
+        self.graphs = {opened.entry.id: opened for opened in graphs}
+        self.desks: set[PlayDesk] = set()
+        self.stages: dict[str, bytes] = {}
+        self.takes: dict[str, Scene] = {}
+        self._start: Literal["view", "play"] = start
+        self._first_graph = graphs[-1].entry.id if graphs else ""
+        self._take_numbers = itertools.count(1)
         self.outboxes: set[Outbox] = set()
         self._scenes: dict[str, tuple[messages.SceneEntry, bytes]] = {}
         self._expected = 0
@@ -47,6 +67,9 @@ class Session:
                 upload_limit_bytes=self.upload_limit_bytes,
                 scenes=entries,
                 expected=len(entries) + self._expected,
+                graphs=[opened.entry for opened in self.graphs.values()],
+                start=self._start,
+                graph=self._first_graph,
             )
         )
         self.outboxes.add(outbox)
@@ -62,9 +85,13 @@ class Session:
             outbox.put(message, replaces)
 
     def payload(self, id: str) -> bytes | None:
-        """The container of a scene, or None."""
+        """The container of a scene, or of the character that plays a graph; or None."""
         found = self._scenes.get(id)
-        return None if found is None else found[1]
+        return self.stages.get(id) if found is None else found[1]
+
+    def next_take(self) -> str:
+        """A new id for a recording."""
+        return f"take{next(self._take_numbers)}"
 
     # ---- opening and closing -----------------------------------------------------------------------------------------
 
@@ -104,6 +131,11 @@ class Session:
         finally:
             self.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
 
+    def add_graph(self, opened: OpenedGraph) -> None:
+        """Make a graph available, in place of one with the same id."""
+        self.graphs[opened.entry.id] = opened
+        self.broadcast(messages.GraphReady("graph_ready", opened.entry))
+
     def close(self, id: str) -> None:
         """Forget a scene."""
         if self._scenes.pop(id, None) is not None:
@@ -124,14 +156,17 @@ class Session:
 
         try:
             async with self._work:
-                scenes, errors = await asyncio.to_thread(open_upload, data, open_path, report)
+                found = await asyncio.to_thread(open_upload, data, open_path, report)
             opened: list[messages.SceneEntry] = []
-            for name, scene in scenes:
+            errors = found.errors
+            for graph in found.graphs:
+                self.add_graph(graph)
+            for name, scene in found.scenes:
                 try:
                     opened.append(await self.add(name, scene))
                 except (KeyposeError, ValueError, MemoryError) as error:
                     errors.append(f"{name}: {str(error) or 'too large'}")
-            return messages.UploadResult(opened, errors)
+            return messages.UploadResult(opened, errors, [graph.entry for graph in found.graphs])
         finally:
             self.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
 

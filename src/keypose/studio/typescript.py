@@ -11,7 +11,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from keypose.studio import messages
+from keypose.studio import messages, scene_messages
 
 _PLAIN = {str: "string", int: "number", float: "number", bool: "boolean", type(None): "null"}
 
@@ -42,7 +42,7 @@ def generate() -> str:
         "",
         f"export const PROTOCOL = {messages.PROTOCOL};",
     ]
-    for name, value in vars(messages).items():
+    for name, value in (vars(scene_messages) | vars(messages)).items():
         if dataclasses.is_dataclass(value) and isinstance(value, type):
             hints = typing.get_type_hints(value)
             lines += ["", f"/** {(value.__doc__ or '').strip().splitlines()[0]} */", f"export interface {name} {{"]

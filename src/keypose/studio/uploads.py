@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from keypose.errors import FormatError, KeyposeError
 from keypose.model import Scene
 from keypose.studio.container import array, unpack
+
+if TYPE_CHECKING:
+    from keypose.studio.graphs import OpenedGraph
 
 MOST_FILES = 2000
 
@@ -34,10 +38,17 @@ def safe_name(name: str) -> PurePosixPath:
     return PurePosixPath(*parts)
 
 
-def open_upload(
-    data: bytes, open_file: Callable[[Path], Scene], report: Callable[[str, float], None]
-) -> tuple[list[tuple[str, Scene]], list[str]]:
-    """Open the files of an upload container: ``(name, scene)`` of each, and one line for each that failed.
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """What came of dropped files: ``(name, scene)`` of each, graphs, and one line for each that failed."""
+
+    scenes: list[tuple[str, Scene]] = field(default_factory=list[tuple[str, Scene]])
+    graphs: list[OpenedGraph] = field(default_factory=list["OpenedGraph"])
+    errors: list[str] = field(default_factory=list[str])
+
+
+def open_upload(data: bytes, open_file: Callable[[Path], Scene], report: Callable[[str, float], None]) -> Upload:
+    """Open the files of an upload container.
 
     Raises:
         FormatError: where the container itself is damaged.
@@ -46,8 +57,7 @@ def open_upload(
     files: Any = header.get("files")
     if header.get("type") != "upload" or not isinstance(files, list) or not 0 < len(files) <= MOST_FILES:
         raise FormatError(f"expected an upload of 1 to {MOST_FILES} files")
-    scenes: list[tuple[str, Scene]] = []
-    errors: list[str] = []
+    result = Upload()
     with tempfile.TemporaryDirectory(prefix="keypose-") as folder:
         names: list[PurePosixPath] = []
         for entry in files:
@@ -69,7 +79,17 @@ def open_upload(
         for count, name in enumerate(wanted):
             report(name.name, count / len(wanted))
             try:
-                scenes.append((name.name, open_file(Path(folder, name))))
+                if name.suffix.lower() == ".json":
+                    result.graphs.append(_open_graph(Path(folder, name)))
+                else:
+                    result.scenes.append((name.name, open_file(Path(folder, name))))
             except (KeyposeError, OSError, MemoryError) as error:
-                errors.append((str(error) or f"{name}: too large").replace(f"{folder}/", ""))
-    return scenes, errors
+                result.errors.append((str(error) or f"{name}: too large").replace(f"{folder}/", ""))
+    return result
+
+
+def _open_graph(path: Path) -> OpenedGraph:
+    """A dropped graph, built while what it needs is still there."""
+    from keypose.studio.graphs import built, graph_file
+
+    return built(graph_file(f"dropped:{path.name}", path, only_beside=True), path)
