@@ -18,7 +18,7 @@ sys.path.insert(0, {tests!r})
 from kernels.conftest import chained, random_motion, unit
 from kernels.test_sample import expected, scene
 from kernels.test_skin import applied, random_mesh
-from keypose.kernels import fk, sample, skin, text
+from keypose.kernels import fk, sample, skin, skincrowd, text
 from keypose.kernels.runtime import WIDTH
 
 motion = random_motion(37, 19, seed=1)
@@ -37,7 +37,7 @@ for quantized, limit in ((False, 1e-4), (True, 2e-3)):
 joints, weights, positions, normals = random_mesh(90, 5, 23, seed=2)
 bind = np.tile(np.eye(4), (23, 1, 1))
 mesh = skin.compile_mesh(joints, weights.astype(np.float32), positions.astype(np.float32), normals, np.arange(23), bind)
-moved = skin.skin_crowd(mesh, crowd).transpose(0, 3, 1, 2).reshape(-1, 90, 3)
+moved = skincrowd.skin_crowd(mesh, crowd).transpose(0, 3, 1, 2).reshape(-1, 90, 3)
 assert abs(moved[: len(places)] - applied(wanted, joints, weights, positions)).max() < 1e-2
 assert abs(skin.skin(mesh, wanted[0])[0] - applied(wanted[0], joints, weights, positions)).max() < 1e-4
 a = unit(np.random.default_rng(0).normal(size=(50, 4)))

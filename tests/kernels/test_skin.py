@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from keypose.errors import ShapeError
-from keypose.kernels import skin
+from keypose.kernels import skin, skincrowd
 from keypose.kernels.runtime import WIDTH
 
 from .conftest import random_motion, unit
@@ -102,7 +102,7 @@ def test_crowds_equal_single_characters(influences):
     wanted = applied(models[:, palette] @ bind, joints, weights, positions)
     limit = 1e-5 * (1 + abs(wanted).max())
     for with_normals in (False, True):
-        out = skin.skin_crowd(mesh, np.ascontiguousarray(lanes, np.float32), with_normals)
+        out = skincrowd.skin_crowd(mesh, np.ascontiguousarray(lanes, np.float32), with_normals)
         flat = out.transpose(0, 3, 1, 2).reshape(characters, 130, -1)
         assert abs(flat[..., :3] - wanted).max() < limit
     turned = np.einsum("...vrc,vc->...vr", blended(models[:, palette] @ bind, joints, weights)[..., :3], normals)
@@ -118,7 +118,9 @@ def test_weights_that_do_not_sum_to_one_are_taken_as_they_are():
     )  # fmt: skip
     lanes = np.ascontiguousarray(models[:, :, :3].reshape(1, WIDTH, 5, 12).transpose(0, 2, 3, 1), np.float32)
     wanted = 0.4 * applied(models, joints, weights, positions)
-    assert abs(skin.skin_crowd(mesh, lanes).transpose(0, 3, 1, 2)[0] - wanted).max() < 1e-5 * (1 + abs(wanted).max())
+    assert abs(skincrowd.skin_crowd(mesh, lanes).transpose(0, 3, 1, 2)[0] - wanted).max() < 1e-5 * (
+        1 + abs(wanted).max()
+    )
     assert abs(skin.skin(mesh, models[0])[0] - wanted[0]).max() < 1e-5 * (1 + abs(wanted).max())
 
 
@@ -133,4 +135,4 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ShapeError, match="mesh"):
         skin.compile_mesh([[0]], [[1.0], [1.0]], [[0.0, 0, 0]])
     with pytest.raises(ShapeError, match="palette"):
-        skin.skin_crowd(mesh, np.zeros((1, 5, 12, WIDTH), np.float32))
+        skincrowd.skin_crowd(mesh, np.zeros((1, 5, 12, WIDTH), np.float32))

@@ -9,7 +9,7 @@ import numpy as np
 
 from keypose.bench import data, limits, plain
 from keypose.bench.suite import Suite
-from keypose.kernels import fk, sample, skin, text
+from keypose.kernels import fk, sample, skin, skincrowd, text
 from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, kernel
 from keypose.math import quat
 
@@ -110,19 +110,19 @@ def _skinning(suite, parents, offsets, models, truth, rng) -> None:
     }
     for normals, name in ((True, "position + normal"), (False, "position only")):
         rows = 6 if normals else 3
-        got = skin.skin_crowd(made, models[: -(-_CHECKED // WIDTH)], normals)
+        got = skincrowd.skin_crowd(made, models[: -(-_CHECKED // WIDTH)], normals)
         got = got.transpose(0, 3, 1, 2).reshape(-1, count, rows)[:_CHECKED]
         suite.check(f"crowd skinning: {name}", abs(got - wanted[:, :, :rows]).max(), 2e-5)
         out = aligned(count * rows * WIDTH).reshape(1, count, rows, WIDTH)
         suite.case(
             f"skinning, crowd, {name}", "ns/vertex", WIDTH * count,
-            lambda normals=normals, out=out: skin.skin_crowd(made, models[:1], normals, out),
+            lambda normals=normals, out=out: skincrowd.skin_crowd(made, models[:1], normals, out),
             per_character[normals], reference_count=count,
         )  # fmt: skip
     out = aligned(blocks * count * 6 * WIDTH).reshape(blocks, count, 6, WIDTH)
     suite.case(
         "skinning, crowd of 64, separate outputs, pos + normal", "ns/vertex", 64 * count,
-        lambda: skin.skin_crowd(made, models[:blocks], True, out), per_character[True], reference_count=count,
+        lambda: skincrowd.skin_crowd(made, models[:blocks], True, out), per_character[True], reference_count=count,
     )  # fmt: skip
     target: Any = skin.skin(made, palette[0], with_normals=True)
     suite.check("one character skinning", abs(np.concatenate(target, axis=1) - wanted[0]).max(), 2e-5)

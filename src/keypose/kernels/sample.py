@@ -66,7 +66,7 @@ _FLOAT32 = np.dtype(np.float32)
 
 
 def animate_crowd(clips: CompiledClips, state: Mix, out: np.ndarray | None = None) -> np.ndarray:
-    """Model matrices of a crowd, in blocks of W characters, which is what `skin.skin_crowd` reads.
+    """Model matrices of a crowd, in blocks of W characters, which is what `skincrowd.skin_crowd` reads.
 
     Returns (blocks, J, 12, W) float32: the rows of 3x4 matrices, characters in the lanes; in ``out`` if given. Where n is
     no multiple of W, the last character fills up its block.

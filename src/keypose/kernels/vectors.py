@@ -247,6 +247,23 @@ def store(typing, array, index, value):
 
 
 @intrinsic
+def store_past(typing, array, index, value):
+    """Write all lanes from ``index`` on past the caches; the place must be aligned to the whole vector.
+
+    For large outputs that nobody reads soon: memory is not read before it is written.
+    """
+
+    def generate(context, builder, sig, args):
+        place = address(context, builder, sig, args, 0, args[2].type)
+        stored = builder.store(args[2], place)
+        stored.align = value.lanes * value.bits // 8
+        stored.set_metadata("nontemporal", builder.module.add_metadata([_INT(1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, index, value), generate
+
+
+@intrinsic
 def splat(typing, array, index):
     """One array element in every lane: a single broadcasting load."""
     vector = vector_of(array)
