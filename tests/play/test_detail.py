@@ -224,3 +224,25 @@ def test_what_does_not_fit_is_refused(levels):
     for specs in ((), (LevelSpec(above=0.1),), (LevelSpec(above=0.1), LevelSpec(0.5, above=0.1)), (LevelSpec(0.0),)):
         with pytest.raises(ShapeError, match="specs"):
             build(human, specs)
+
+
+def test_matrices_for_graphics_cards_move_the_mesh_as_skinning_does(levels, poses):
+    human = samples.load("human").character
+    models = np.array(evaluate.world(human.skeleton, poses))
+    models[:, :, [0, 2], 3] -= models[:, :1, [0, 2], 3]  # where they are is said by their roots
+    rng = np.random.default_rng(5)
+    roots = np.concatenate([rng.uniform(-50, 50, (40, 2)), rng.uniform(-7, 7, (40, 1))], axis=1)
+    sin, cos = np.sin(roots[:, 2]), np.cos(roots[:, 2])
+    world = np.tile(np.eye(4), (40, 1, 1))
+    world[:, 0, 0], world[:, 0, 2], world[:, 2, 0], world[:, 2, 2] = cos, sin, -sin, cos
+    world[:, [0, 2], 3] = roots[:, :2]
+    crowd = d.prepare(levels, 40)
+    d.choose(crowd, np.geomspace(0.01, 1.0, 40))
+    found = d.matrices(crowd, in_lanes(world[:, None] @ models), roots, d.begin(crowd), 1e-4)
+    assert sorted(np.concatenate([who for who, _ in found]).tolist()) == list(range(40))
+    for level, (who, small) in zip(levels, found, strict=True):
+        rows = small.reshape(len(who), -1, 3, 4) * np.array([2.0**-14] * 3 + [1e-4])
+        points = np.concatenate([level.mesh.positions, np.ones((level.mesh.vertex_count, 1))], axis=1)
+        blended = np.einsum("vk,nvkrc->nvrc", level.skin.weights, rows[:, level.skin.joints])
+        seen = np.einsum("nvrc,vc->nvr", blended, points)
+        assert np.abs(seen - deform.skin(level.mesh, level.skin, models[who])).max() < 4e-4

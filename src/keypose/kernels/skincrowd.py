@@ -30,6 +30,7 @@ _ROW = 12  # numbers per vertex: three weights, point (x, y, z, 1), normal, two 
 _RUN = 8  # first row, rows, whether they add to what is there, joints, four palette entries
 _PAST_BYTES = 24 << 20  # an output larger than this would only push everything else out of the caches
 _FLOAT32 = np.dtype(np.float32)
+_NOWHERE = np.zeros(0, np.float32)
 
 # Where `CrowdMesh.handles` holds what: sizes, then addresses.
 _VERTEX_COUNT, _RUN_COUNT, _PALETTE_SIZE, _ADDS = range(4)
@@ -89,6 +90,21 @@ def skin_members(
     _skin_members(models, mesh.crowd.handles, members, blocks, out, _past(out, len(blocks)))
 
 
+def quantized_members(
+    mesh: CompiledMesh, models: np.ndarray, members: np.ndarray, blocks: np.ndarray, roots: np.ndarray, unit_m: float
+) -> np.ndarray:
+    """The skin matrices of listed characters, seen from their roots, in 16 bits, as a graphics card takes them.
+
+    Shapes and units: models, members and blocks as in `skin_members`; roots (count, 3) float64, x, z and yaw of all
+    characters. Returns (N * W, P, 12) int16, rows of 3x4 matrices: turns and scales in units of 2^-14, places in units of
+    ``unit_m``. What does not fit is cut off; rows of unused lanes mean nothing.
+    """
+    _checked(mesh, models, False, _NOWHERE, 0)
+    out = np.empty((len(blocks) * WIDTH, len(mesh.crowd.palette), 12), np.int16)
+    _quantize_members(models, mesh.crowd.handles, members, blocks, roots, np.float32(1.0 / unit_m), out)
+    return out
+
+
 def _past(out: np.ndarray, blocks: int) -> bool:
     """Whether so many blocks are worth being written past the caches, and may be."""
     return blocks * out[:1].nbytes >= _PAST_BYTES and out.ctypes.data % CACHE_LINE == 0
@@ -105,6 +121,8 @@ def _checked(mesh: CompiledMesh, models: Any, with_normals: bool, out: Any, bloc
     shape = (blocks, mesh.vertex_count, 6 if with_normals else 3, WIDTH)
     if out is None:
         return aligned(int(np.prod(shape))).reshape(shape)
+    if out is _NOWHERE:
+        return out
     if out.shape != shape or out.dtype != _FLOAT32 or not out.flags.carray:
         raise ShapeError(f"out: expected {shape} of float32, got {out.shape} of {out.dtype}")
     return out
@@ -345,18 +363,57 @@ def _skin_members(models, handles, members, blocks, out, past):
     palette, bind, lanes = int64_at(handles[_PALETTE]), float32_at(handles[_BIND]), np.zeros(WIDTH, np.int64)
     past = past and WIDTH == 16 and handles[_ADDS] == 0
     for n in range(count):
-        first, neighbours, used = blocks[n] * WIDTH, True, np.int64(-1)
-        for lane in range(WIDTH):
-            if members[first + lane] >= 0 and used < 0:
-                used = members[first + lane]
-        if used < 0:
+        if _collect(models, joints, members, blocks[n] * WIDTH, lanes, palette, size, bind, near, bones):
+            _skin_block(handles, bones, near, rows == 6, past, out, blocks[n] * handles[_VERTEX_COUNT] * rows * WIDTH)
+
+
+@kernel
+def _collect(models, joints, members, first, lanes, palette, size, bind, near, bones):
+    """The matrices of W listed characters; whether there is one among them."""
+    neighbours, used = True, np.int64(-1)
+    for lane in range(WIDTH):
+        if members[first + lane] >= 0 and used < 0:
+            used = members[first + lane]
+    if used < 0:
+        return False
+    for lane in range(WIDTH):
+        used = members[first + lane] if members[first + lane] >= 0 else used
+        lanes[lane] = used
+        neighbours = neighbours and used == lanes[0] + lane
+    if neighbours and lanes[0] % WIDTH == 0:
+        _palette_matrices(models, lanes[0] * joints * 12, palette, size, bind, bones)
+    else:
+        _member_matrices(models, joints * 12 * WIDTH, pointer(lanes), palette, size, bind, near, bones)
+    return True
+
+
+@kernel
+def _quantize_members(models, handles, members, blocks, roots, per_m, out):
+    joints, size = models.shape[1], handles[_PALETTE_SIZE]
+    memory, beside, turned = scratch(size * 12 * WIDTH), scratch(48 * WIDTH), scratch(16 * WIDTH)
+    models, bones, near = pointer(models), pointer(memory), pointer(beside)
+    palette, bind, lanes = int64_at(handles[_PALETTE]), float32_at(handles[_BIND]), np.zeros(WIDTH, np.int64)
+    for n in range(blocks.shape[0]):
+        if not _collect(models, joints, members, blocks[n] * WIDTH, lanes, palette, size, bind, near, bones):
             continue
         for lane in range(WIDTH):
-            used = members[first + lane] if members[first + lane] >= 0 else used
-            lanes[lane] = used
-            neighbours = neighbours and used == lanes[0] + lane
-        if neighbours and lanes[0] % WIDTH == 0:
-            _palette_matrices(models, lanes[0] * joints * 12, palette, size, bind, bones)
-        else:
-            _member_matrices(models, joints * 12 * WIDTH, pointer(lanes), palette, size, bind, near, bones)
-        _skin_block(handles, bones, near, rows == 6, past, out, blocks[n] * handles[_VERTEX_COUNT] * rows * WIDTH)
+            x, z, yaw = roots[lanes[lane], 0], roots[lanes[lane], 1], roots[lanes[lane], 2]
+            turned[12 * WIDTH + lane], turned[13 * WIDTH + lane] = np.cos(yaw), np.sin(yaw)
+            turned[14 * WIDTH + lane], turned[15 * WIDTH + lane] = x, z
+        cos, sin = load(turned, 12 * WIDTH), load(turned, 13 * WIDTH)
+        away_x, away_z = load(turned, 14 * WIDTH), load(turned, 15 * WIDTH)
+        for p in range(size):
+            at = p * 12 * WIDTH
+            for k in range(4):
+                x, y = load(bones, at + k * WIDTH), load(bones, at + (4 + k) * WIDTH)
+                z = load(bones, at + (8 + k) * WIDTH)
+                unit = np.float32(16384.0)
+                if k == 3:
+                    x, z, unit = x - away_x, z - away_z, per_m
+                store(turned, k * WIDTH, (cos * x - sin * z) * unit)
+                store(turned, (4 + k) * WIDTH, y * unit)
+                store(turned, (8 + k) * WIDTH, (sin * x + cos * z) * unit)
+            for lane in range(WIDTH):
+                for k in range(12):
+                    value = min(max(turned[k * WIDTH + lane], np.float32(-32767.0)), np.float32(32767.0))
+                    out[n * WIDTH + lane, p, k] = np.int16(np.rint(value))

@@ -157,6 +157,31 @@ def skin(detail: Detail, models: Array) -> list[Ints]:
     return blocks
 
 
+def matrices(
+    detail: Detail, models: Array, roots: Floats, blocks: Sequence[Ints], unit_m: float
+) -> list[tuple[Ints, Array]]:
+    """Skin matrices of the characters in some blocks, for a graphics card that skins them itself.
+
+    Shapes and units: ``models`` as in `skin`; ``roots`` (count, 3), x m, z m, yaw rad; ``blocks`` level by level, as
+    `begin` returns them. For each level the characters (N,) and their matrices model_from_mesh, seen from the
+    character's root, (N, P, 12) int16: rows of 3x4 matrices in the order of the level's palette, turns and scales in units of
+    2^-14, places in units of ``unit_m``; what is farther off than 32,767 of them is cut off.
+
+    Raises:
+        ShapeError: where models or roots do not fit.
+    """
+    roots = np.ascontiguousarray(roots, np.float64)
+    if roots.shape != (detail.count, 3):
+        raise ShapeError(f"roots: expected {(detail.count, 3)}, got {roots.shape}")
+    found: list[tuple[Ints, Array]] = []
+    for level, members, at in zip(detail.levels, detail.members, blocks, strict=True):
+        width = detail.vertices[0].shape[-1]
+        who = members.reshape(-1, width)[at].ravel()
+        both = detail.kernel.quantized_members(level.compiled, models, members, at, roots, unit_m)
+        found.append((who[who >= 0], both[who >= 0]))
+    return found
+
+
 def vertices_of(detail: Detail, character: int) -> tuple[Array, Array]:
     """Positions and normals (V, 3) of one character as last skinned, at its level; copies.
 
