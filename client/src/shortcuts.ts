@@ -5,7 +5,7 @@ import { studio } from "./studio.svelte";
 export interface Shortcut {
   keys: string;
   does: string;
-  group: "Play" | "Look" | "Show" | "Window";
+  group: string;
   run: (event: KeyboardEvent) => void;
 }
 
@@ -51,6 +51,7 @@ export function shortcuts(window: WindowCommands): Shortcut[] {
     show("G", "Ghosts before and after", () => studio.show("ghosts")),
     show("D", "Floor grid", () => studio.show("grid")),
     show("I", "Statistics", () => (studio.stats = !studio.stats)),
+    win("M", "To the play page", () => studio.turnTo("play")),
     win("O", "Open files", window.open),
     win("P", "Save a picture", () => void studio.screenshot()),
     win("T", "Dark or light theme", () => studio.setTheme(studio.theme === "dark" ? "light" : "dark")),
@@ -76,6 +77,13 @@ function spelling(event: KeyboardEvent): string[] {
 /** A button that was clicked with the mouse gives the keyboard back, so that the space bar plays. */
 export function releaseFocus(event: MouseEvent): void {
   if (event.detail > 0 && document.activeElement instanceof HTMLButtonElement) document.activeElement.blur();
+}
+
+/** Whether a key goes into a field, or moves the slider or presses the button that has the focus. */
+export function isTyping(event: KeyboardEvent): boolean {
+  const { target } = event;
+  if (target instanceof HTMLInputElement) return !["range", "checkbox"].includes(target.type) || /^(Arrow|Home|End|Page| )/.test(event.key);
+  return target instanceof HTMLSelectElement || (target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter"));
 }
 
 export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {

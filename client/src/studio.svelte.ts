@@ -4,11 +4,12 @@ import { SvelteMap } from "svelte/reactivity";
 import type { Animation } from "./anim/animation";
 import { sameRest } from "./anim/matching";
 import { LOOP_MODES, SPEEDS, type LoopMode } from "./anim/clock";
-import type { SceneEntry, ServerMessage } from "./generated/messages";
+import type { Envelope, GraphEntry, SceneEntry, ServerMessage } from "./generated/messages";
 import { PROTOCOL } from "./generated/messages";
 import { History } from "./history.svelte";
 import { Connection } from "./net/connection";
-import type { Blobs } from "./net/container";
+import { save } from "./net/download";
+import type { Blobs, Container } from "./net/container";
 import { loadScene, type OpenFile } from "./scene";
 import type { Actor } from "./view/actor";
 import type { GhostSettings } from "./view/ghosts";
@@ -59,6 +60,12 @@ export class Studio {
   /** Rises when a morph was set by hand. */
   morphRevision = $state(0);
 
+  /** What the window shows: files to look at, or a graph to play. */
+  page = $state<"view" | "play">("view");
+  graphs = $state.raw<GraphEntry[]>([]);
+  /** The graph that is played first. */
+  firstGraph = $state("");
+
   online = $state(true);
   everOnline = $state(false);
   settled = $state(false);
@@ -67,7 +74,9 @@ export class Studio {
   history = new History();
 
   view!: Viewport;
-  private connection!: Connection;
+  connection!: Connection;
+  /** Parts of the page that have messages of their own. */
+  readonly messageListeners = new Set<(message: ServerMessage, container: Container<Envelope>) => void>();
   private queue: Promise<void> = Promise.resolve();
   private known = new Set<string>();
   private toastCount = 0;
@@ -105,7 +114,7 @@ export class Studio {
     };
     this.view.onStop = () => (this.playing = false);
     this.connection = new Connection(
-      (message) => this.receive(message),
+      (message, container) => this.receive(message, container),
       (online) => {
         this.online = online;
         this.everOnline ||= online;
@@ -115,16 +124,24 @@ export class Studio {
 
   // ---- files -------------------------------------------------------------------------------------------------------
 
-  private receive(message: ServerMessage): void {
+  private receive(message: ServerMessage, container: Container<Envelope>): void {
+    for (const listener of this.messageListeners) listener(message, container);
     switch (message.type) {
       case "hello":
         if (message.protocol !== PROTOCOL) {
           this.toast("error", "This page is older than the server", "Reload the page.");
           return;
         }
+        this.graphs = message.graphs;
+        this.firstGraph = message.graph;
+        if (!this.greeted) this.turnTo(location.hash === "#play" ? "play" : location.hash === "#view" ? "view" : message.start);
+        this.greeted = true;
         for (const file of this.files) if (!message.scenes.some((s) => s.id === file.id)) this.forget(file.id);
         for (const entry of message.scenes) this.open(entry);
         if (message.expected === 0) this.settled = true;
+        break;
+      case "graph_ready":
+        this.graphs = [...this.graphs.filter((g) => g.id !== message.graph.id), message.graph];
         break;
       case "scene_ready":
         this.open(message.scene);
@@ -145,6 +162,14 @@ export class Studio {
         break;
     }
   }
+
+  /** Turn to a page; the one that is left stands still. */
+  turnTo(page: "view" | "play"): void {
+    if (page === "play") this.pause();
+    this.page = page;
+    window.history.replaceState(null, "", `#${page}`);
+  }
+  private greeted = false;
 
   private open(entry: SceneEntry): void {
     if (this.known.has(entry.id)) return;
@@ -187,7 +212,7 @@ export class Studio {
     if (file.actors.length > 0 && !file.hasMesh) this.lend(file);
     if (first && file.actors.length > 0) {
       this.activate(file.actors[0]);
-      if (this.animation && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play();
+      if (this.page === "view" && this.animation && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play();
     }
     if (file.actors.length > 0) this.view.frameAll("three-quarter", first);
     if (file.actors.length === 0) this.toast("info", `${file.name} holds nothing to show`, "It has no character and no skeleton.");
@@ -239,6 +264,10 @@ export class Studio {
     this.jobs.set(job, { id: job, label: `Sending ${files[0].name}`, fraction: null });
     try {
       const result = await this.connection.upload(files);
+      if (result.graphs.length > 0) {
+        this.firstGraph = result.graphs[result.graphs.length - 1].id;
+        this.turnTo("play");
+      }
       for (const error of result.errors) this.toast("error", "This file cannot be read", error);
     } catch {
       this.toast("error", "The file did not arrive", "The studio's server cannot be reached. Is keypose still running?");
@@ -439,12 +468,8 @@ export class Studio {
   async screenshot(): Promise<void> {
     const blob = await this.view.screenshot();
     const frame = Math.round((this.view.clock.time - (this.animation?.start ?? 0)) * this.rate);
-    const link = document.createElement("a");
     const name = [this.active?.name ?? "stage", this.animation?.name].filter(Boolean).join("-").replace(/[^\w.-]+/g, "_");
-    link.href = URL.createObjectURL(blob);
-    link.download = `${name}-${String(frame).padStart(4, "0")}.png`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    save(blob, `${name}-${String(frame).padStart(4, "0")}.png`);
   }
 
   // ---- morphs ------------------------------------------------------------------------------------------------------

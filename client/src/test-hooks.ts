@@ -2,6 +2,8 @@
 
 import { Vector3 } from "three";
 import { deformedVertices } from "./view/parts";
+import { play } from "./play/play.svelte";
+import { playHooks } from "./play/test-hooks";
 import type { Studio } from "./studio.svelte";
 
 export function installHooks(studio: Studio): void {
@@ -80,9 +82,10 @@ export function installHooks(studio: Studio): void {
       return [box.left + x, box.top + y];
     },
     camera: () => ({ position: studio.view.orbit.camera.position.toArray(), target: studio.view.orbit.target.toArray() }),
+    ...playHooks,
     stats: () => studio.view.stats(),
     resetStats: () => studio.view.resetStats(),
   };
-  Object.assign(window, { keypose: { test, studio } });
+  Object.assign(window, { keypose: { test, studio, play } });
 }
 

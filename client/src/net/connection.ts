@@ -10,7 +10,7 @@ export class Connection {
   private retry = 500;
 
   constructor(
-    private readonly receive: (message: ServerMessage) => void,
+    private readonly receive: (message: ServerMessage, container: Container<Envelope>) => void,
     private readonly online: (online: boolean) => void,
   ) {
     this.open();
@@ -27,8 +27,9 @@ export class Connection {
       this.online(true);
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => {
-      const { header } = unpack<Envelope>(event.data);
-      this.receive(header.message);
+      const container = unpack<Envelope>(event.data);
+      const { header } = container;
+      this.receive(header.message, container);
       this.send({ type: "acknowledge", sequence: header.sequence });
     };
     socket.onclose = () => {
@@ -65,9 +66,16 @@ export class Connection {
     return unpack<H>(data.buffer);
   }
 
+  /** A recording as a file. */
+  async take(id: string, kind: "glb" | "bvh"): Promise<Blob> {
+    const response = await fetch(`api/takes/${encodeURIComponent(id)}/${kind}`, { headers: this.headers });
+    if (!response.ok) throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
+    return response.blob();
+  }
+
   async upload(files: Blobs[]): Promise<UploadResult> {
     const response = await fetch("api/scenes", { method: "POST", headers: this.headers, body: packUpload(files) });
     if (response.headers.get("content-type")?.startsWith("application/json")) return (await response.json()) as UploadResult;
-    return { opened: [], errors: [`the server answered ${response.status}`] };
+    return { opened: [], errors: [`the server answered ${response.status}`], graphs: [] };
   }
 }

@@ -173,6 +173,12 @@ export class Actor {
     this.ghosts?.update(this, time);
   }
 
+  /** Show the pose that lies in the rig, whoever has written it. */
+  showPose(): void {
+    this.rig.solve();
+    this.refresh();
+  }
+
   private refresh(): void {
     const { world, pose } = this.rig;
     this.body.write(world, pose.morphs);

@@ -407,7 +407,7 @@ export class Viewport {
 }
 
 /** A soft vertical gradient with a little noise against banding. */
-function backdrop(top: string, bottom: string): THREE.Texture {
+export function backdrop(top: string, bottom: string): THREE.Texture {
   const canvas = document.createElement("canvas");
   canvas.width = 256;
   canvas.height = 256;

@@ -18,6 +18,9 @@ from keypose.studio.player import LONGEST_STEP_S, LONGEST_TAKE_S, RATE_HZ, Playe
 WINDOW = 3
 """Frames that may be on their way or waiting to be drawn."""
 
+WINDOW_FOR_INPUT = 6
+"""The same for a step that obeys a new input: on a slow machine it is seen one picture sooner."""
+
 SOONEST_S = 0.006
 """An input is obeyed at once, but not sooner than this after the last step."""
 
@@ -156,7 +159,7 @@ class Pacer:
 
     def _wait_s(self) -> float | None:
         """How long nothing is to be done: 0 for now, None until something changes."""
-        if self._sent - self._acknowledged >= WINDOW:
+        if self._sent - self._acknowledged >= (WINDOW_FOR_INPUT if self._values else WINDOW):
             return None
         if self._first or self._orders or self._single:
             return 0.0
