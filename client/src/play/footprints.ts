@@ -42,8 +42,8 @@ export class Footprints {
         varying float life;
         void main() {
           // a sole and a heel
-          float sole = length((at - vec2(0.0, 0.34)) / vec2(0.78, 0.62));
-          float heel = length((at - vec2(0.0, -0.66)) / vec2(0.6, 0.32));
+          float sole = length((at - vec2(0.0, -0.34)) / vec2(0.78, 0.62));
+          float heel = length((at - vec2(0.0, 0.66)) / vec2(0.6, 0.32));
           float inside = 1.0 - smoothstep(0.86, 1.0, min(sole, heel));
           gl_FragColor = vec4(color, inside * life * strength);
           if (gl_FragColor.a < 0.004) discard;

@@ -59,10 +59,12 @@ function plane(c: CanvasRenderingContext2D, width: number, height: number, color
   const x = numberOf(playing, frame, node, "x"), y = numberOf(playing, frame, node, "y");
   const xs = [...children.map((n) => n.data.at[0]), x], ys = [...children.map((n) => n.data.at[1]), y];
   const lowX = Math.min(...xs), highX = Math.max(...xs), lowY = Math.min(...ys), highY = Math.max(...ys);
-  const padX = 34, padY = 24;
-  const scale = Math.min((width - 2 * padX) / Math.max(1e-9, highX - lowX), (height - 2 * padY) / Math.max(1e-9, highY - lowY));
-  const toX = (v: number) => width / 2 + (v - (lowX + highX) / 2) * scale;
-  const toY = (v: number) => height / 2 - (v - (lowY + highY) / 2) * scale;
+  const padX = 40, padY = 22;
+  const fullX = (width - 2 * padX) / Math.max(1e-9, highX - lowX), fullY = (height - 2 * padY) / Math.max(1e-9, highY - lowY);
+  // the plane fills its place, but no axis is stretched to more than three times the other
+  const scaleX = Math.min(fullX, 3 * fullY), scaleY = Math.min(fullY, 3 * fullX);
+  const toX = (v: number) => width / 2 + (v - (lowX + highX) / 2) * scaleX;
+  const toY = (v: number) => height / 2 - (v - (lowY + highY) / 2) * scaleY;
   const place = (n: number): [number, number] => [toX(children[n].data.at[0]), toY(children[n].data.at[1])];
   for (const corners of node.data.triangles) {
     const weight = frame ? corners.reduce((sum, n) => sum + frame.shares[children[n].index], 0) : 0;

@@ -117,17 +117,22 @@ export class PlayStage {
   resize(width: number, height: number): void {
     if (width < 2 || height < 2) return;
     this.size = [width, height];
+    this.fitCanvas();
+    this.draw(); // at once, so that the old picture is not stretched for a frame
+  }
+
+  private fitCanvas(): void {
+    const [width, height] = this.size;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio) * this.quality);
     this.renderer.setSize(width, height, false);
     this.view.resize(width, height);
     this.dirty = true;
-    this.draw();
   }
 
   private setQuality(quality: number): void {
     this.quality = quality;
     this.slow = 0;
-    this.resize(...this.size);
+    this.fitCanvas();
   }
 
   /** Where the machine cannot keep up, less is drawn. */
