@@ -64,21 +64,33 @@ def test_roots_replace_the_translations_of_every_root():
     assert all(np.array_equal(a, b) for a, b in zip(got, wanted, strict=True))
 
 
-def test_lanes_hold_the_same_numbers():
-    count = fk.lane_count(np.float32)
-    frames, joints = 4 * count, 9
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", ["any", "chain", "star", "two roots"])
+def test_lanes_hold_the_same_numbers(dtype, shape):
+    count, joints = fk.lane_count(dtype), 9
+    frames, row = 4 * count, 48
     motion = random_motion(frames, joints, seed=5)
-    roots, offsets = motion.translations[:, 0].astype(np.float32), motion.translations[0].astype(np.float32)
-    rotations = motion.rotations.astype(np.float32)
-    rows = aligned(frames * 48).reshape(frames, 48)
+    parents = {
+        "any": motion.parents,
+        "chain": np.arange(joints) - 1,
+        "star": np.minimum(np.arange(joints) - 1, 0),
+        "two roots": np.array([-1, 0, 1, 1, -1, 4, 4, 2, 6]),
+    }[shape]
+    roots, offsets = motion.translations[:, 0].astype(dtype), motion.translations[0].astype(dtype)
+    rotations = motion.rotations.astype(dtype)
+    rows = aligned(frames * row, dtype).reshape(frames, row)
     rows[:, : 4 * joints] = rotations.reshape(frames, -1)
-    out = fk.rotations_positions_lanes(
-        motion.parents, rows, offsets, np.ascontiguousarray(roots.reshape(-1, count, 3).transpose(0, 2, 1))
-    )
-    turned, moved = fk.rotations_positions(motion.parents, rotations, offsets, roots)
-    assert np.allclose(
-        out.transpose(0, 3, 1, 2).reshape(frames, joints, 7), np.concatenate([turned, moved], axis=2), atol=1e-6
-    )
+    starts = np.ascontiguousarray(roots.reshape(-1, count, 3).transpose(0, 2, 1))
+    out = fk.rotations_positions_lanes(parents, rows, offsets, starts)
+    turned, moved = fk.rotations_positions(parents, rotations, offsets, roots)
+    wanted = np.concatenate([turned, moved], axis=2)
+    assert out.dtype == dtype
+    assert np.allclose(out.transpose(0, 3, 1, 2).reshape(wanted.shape), wanted, atol=100 * np.finfo(dtype).eps)
+    for array in (rows, offsets, starts):
+        array.flags.writeable = False
+    assert np.array_equal(fk.rotations_positions_lanes(parents, rows, offsets, starts, np.zeros_like(out)), out)
+    with pytest.raises(ShapeError, match="offsets"):
+        fk.rotations_positions_lanes(parents, rows, offsets[1:], starts)
 
 
 def test_frozen_sliced_and_integer_arguments_are_safe():

@@ -10,6 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from keypose import play
+from keypose.kernels.runtime import FEATURES
+from keypose.samples import performances
+from keypose.samples import skeleton as samples_skeleton
+
 HERE = Path(__file__).parent
 
 SMOKE = """
@@ -48,9 +53,19 @@ print(WIDTH)
 """
 
 
-def run(code, **environment):
+DECODE = """
+import numpy as np, sys
+from keypose import play
+pose = play.sample(play.from_bytes(open(sys.argv[1] + "/clip", "rb").read()), np.load(sys.argv[1] + "/times.npy"))
+parts = np.concatenate([pose.rotations, pose.translations, pose.scales], axis=-1)
+print(abs(parts - np.load(sys.argv[1] + "/wanted.npy")).max())
+"""
+AVX2 = "+sse4.2,+ssse3,+avx,+avx2,+fma,+bmi,+bmi2,+popcnt,+lzcnt,+f16c"
+
+
+def run(code, *arguments, **environment):
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", code, *arguments],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
@@ -75,6 +90,32 @@ def test_every_width_works_on_every_processor(environment, width):
     code, printed, errors = run(SMOKE.format(tests=str(HERE.parent)), **environment)
     assert code == 0, errors
     assert printed == width
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"NUMBA_CPU_NAME": "generic"},
+        {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "+sse4.2,+ssse3"},
+        pytest.param(
+            {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": AVX2},
+            marks=pytest.mark.skipif("avx2" not in FEATURES, reason="the processor has no AVX2"),
+        ),
+    ],
+    ids=["generic", "ssse3", "avx2"],
+)
+def test_clips_decode_alike_on_every_processor(environment, tmp_path):
+    motion, skeleton = performances.make("walk"), samples_skeleton.skeleton()
+    clip = play.compile_clip(motion, skeleton)
+    times = np.random.default_rng(6).uniform(clip.start_s - 0.1, clip.end_s + 0.1, 200)
+    pose = play.sample(clip, times)
+    (tmp_path / "clip").write_bytes(play.to_bytes(clip))
+    np.save(tmp_path / "times.npy", times)
+    np.save(tmp_path / "wanted.npy", np.concatenate([pose.rotations, pose.translations, pose.scales], axis=-1))
+    code, printed, errors = run(DECODE, str(tmp_path), **environment)
+    assert code == 0, errors
+    assert float(printed) < 2e-6
 
 
 def test_a_width_that_does_not_exist_is_refused():

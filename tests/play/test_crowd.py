@@ -133,6 +133,39 @@ def test_a_small_pool_gives_the_same_bits(rig: Any) -> None:
     assert small.decoded_count > large.decoded_count
 
 
+def test_a_pool_that_is_too_small_keeps_what_it_has(rig: Any) -> None:
+    skeleton, clips = rig
+    knots = crowd.prepare(clips, skeleton, 2000, clips_each=1, pool_bytes=1 << 24)
+    made = crowd.prepare(clips, skeleton, 2000, clips_each=1, pool_bytes=knots.pool_bytes * 3 // 4)
+    numbers = mixture(np.random.default_rng(4), 2000, 1, len(clips))
+    wanted = np.array(crowd.animate(knots, *numbers))
+    decoded: list[int] = []
+    for _ in range(4):
+        before = made.decoded_count
+        assert np.array_equal(crowd.animate(made, *numbers), wanted)
+        decoded.append(made.decoded_count - before)
+    assert max(decoded) < 2 * 2000 / 4  # of two samples each; first in, first out would find few of them again
+    assert decoded[-1] > 0
+
+
+def test_arrays_come_again_with_other_numbers_and_other_arrays_come(rig: Any) -> None:
+    skeleton, clips = rig
+    made, rng = crowd.prepare(clips, skeleton, 40), np.random.default_rng(8)
+    kept = mixture(rng, 40, 3, len(clips))
+    for many in (3, 3, 2, 3, 4):
+        fresh = mixture(rng, 40, many, len(clips))
+        if many == 3:
+            for array, values in zip(kept, fresh, strict=True):
+                array[:] = values
+        got = crowd.model_matrices(made, crowd.animate(made, *(kept if many == 3 else fresh)))
+        assert np.abs(got - step_by_step(skeleton, clips, *fresh))[..., :3, 3].max() < 1e-4
+    kept[1][7, 1] = np.nan
+    with pytest.raises(ShapeError, match=r"times_s: .* character 7"):
+        crowd.animate(made, *kept)
+    with pytest.raises(ShapeError, match="clip_indices"):
+        crowd.animate(made, None, None, None)  # pyright: ignore[reportArgumentType]
+
+
 def test_each_sample_is_decoded_once(rig: Any) -> None:
     skeleton, clips = rig
     made = crowd.prepare(clips, skeleton, 300)

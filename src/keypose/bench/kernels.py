@@ -28,9 +28,9 @@ _single = sample.single_character
 
 
 @kernel
-def _repeat_single(times, rotations, scale, handles, frames, shares, out):
+def _repeat_single(times, call):
     for _ in range(times):
-        _single(rotations, scale, handles, frames, shares, out)
+        _single(call)
 
 
 def _characters(suite: Suite) -> None:
@@ -57,9 +57,9 @@ def _one_character(suite, parents, motions, clips, places, weights) -> None:
         "chain, 1 character, call from Python", "ns/character", 1, lambda: sample.animate_one(clips, state, out),
         lambda: _chain(parents, motions, places, weights),
     )  # fmt: skip
-    arguments = (200, clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out)
+    call = sample.single_call(clips, state, out)
     suite.case(
-        "chain, 1 character, call inside a kernel", "ns/character", 200, lambda: _repeat_single(*arguments),
+        "chain, 1 character, call inside a kernel", "ns/character", 200, lambda: _repeat_single(200, call.ctypes.data),
         lambda: _chain(parents, motions, places, weights), reference_count=1,
     )  # fmt: skip
 

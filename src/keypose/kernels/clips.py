@@ -12,7 +12,7 @@ character then walks its hierarchy a whole depth at a time (see `waves`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ INT16_SCALE = 32767.0
 # Where `CompiledClips.handles` holds what: sizes, then addresses. Handing a kernel ten arrays takes longer than animating
 # one character with it.
 JOINTS, PADDED, MOVING, WAVES, FRAMES = range(5)
-TRANSLATIONS, REST, MOVING_AT, ORDER, PARENTS, WAVE_TABLE, WAVE_PARENTS = range(5, 12)
+TRANSLATIONS, REST, MOVING_AT, ORDER, PARENTS, WAVE_TABLE, WAVE_PARENTS, ROTATIONS = range(5, 13)
 _STILL = 1e-6  # metres; a translation that moves less stays at its mean
 
 
@@ -68,6 +68,7 @@ class Mix:
 
     frames: np.ndarray
     shares: np.ndarray
+    last: list[Any] = field(default_factory=lambda: [(None, None)], repr=False)  # what `animate_one` ran on last
 
     def __post_init__(self) -> None:
         frames = np.ascontiguousarray(self.frames, np.int32)
@@ -116,8 +117,8 @@ def compile_clips(parents: Any, clips: Sequence[tuple[Any, Any]], quantized: boo
     }
     scale = INT16_SCALE if quantized else 1.0
     numbers = (joints, padded, len(groups) * GROUP, len(waves), int(starts[-1]))
-    handles = np.array([*numbers, *(part.ctypes.data for part in parts.values())], np.int64)
     rotations = aligned_copy(rotations, rotations.dtype)
+    handles = np.array([*numbers, *(part.ctypes.data for part in (*parts.values(), rotations))], np.int64)
     return CompiledClips(
         joint_count=joints, padded=padded, moving=len(groups) * GROUP, starts=starts, rotations=rotations, scale=scale,
         handles=handles, **parts,

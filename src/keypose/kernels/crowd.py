@@ -2,11 +2,12 @@
 """Many characters that play compressed clips: sample, blend, walk the hierarchy with scale.
 
 Decoding a pose takes longer than everything else together, and characters of a crowd are often between the same two
-samples of a clip. So decoded samples (*knots*) are kept in a pool of fixed size, first in, first out; a knot that a
-block of W characters needs is never thrown out before the block is done. From there it goes as in
-`keypose.kernels.sample`: joints in the lanes to sample and blend, a register transpose, characters in the lanes to walk.
-Here the hierarchy is walked in 3x4 matrices, for a scale above a rotation gives shear; the parent's matrix is read
-from where the result was just written.
+samples of a clip. So decoded samples (*knots*) are kept in a pool of fixed size, about first in, first out; a knot that a
+block of W characters needs is never thrown out before the block is done. Where the pool is smaller than what is played, each
+knot would be thrown out just before it is needed again; so it keeps what it has, and the other knots are decoded into
+places after the pool that belong to the block. From there it goes as in `keypose.kernels.sample`: joints in the lanes to
+sample and blend, a register transpose, characters in the lanes to walk. Here the hierarchy is walked in 3x4 matrices, for
+a scale above a rotation gives shear; the parent's matrix is read from where the result was just written.
 
 Between two knots rotations are interpolated component by component (nlerp); translations and scales are linear.
 
@@ -15,16 +16,22 @@ Layout
     clips    int64    per clip CLIP numbers: addresses of layout, tables, book and codes (see `kernels.decode`), its first
                       knot in the numbering of all clips, how many it has, how many for each sample, whether it loops
     models   float32  [block][joint][12][W]: rows of 3x4 matrices, characters in the lanes
+    call     int64    what one call is about, see CALL: handing over one address is quicker than handing over arrays
 """
 
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
+from numba import types
 
 from keypose.kernels.decode import CELLS, FRAME_COUNT, FRAMES, SLOTS, TRACKS, decode_pose
-from keypose.kernels.rotations import load3, load4, quat_matrix, store3, store4
-from keypose.kernels.runtime import WIDTH, inlined, intrinsic, kernel
+from keypose.kernels.rotations import load3, load4, quat_dot, quat_matrix, store3, store4
+from keypose.kernels.runtime import WIDTH, inlined, intrinsic, kernel, short_kernel
 from keypose.kernels.vectors import (
+    FLAGS,
+    Vector,
+    address,
     flip_sign,
     float32_at,
     float64_at,
@@ -32,12 +39,14 @@ from keypose.kernels.vectors import (
     load,
     load_sixteen,
     pointer,
+    read,
     rsqrt,
     shuffle,
     splat,
     store,
     transpose,
     uint8_at,
+    write,
 )
 
 GROUP = 16
@@ -48,10 +57,14 @@ LAYOUT, TABLES, BOOK, CODES, FIRST_KNOT, KNOTS, FINENESS, LOOP = range(CLIP)
 (
     JOINTS, PADDED, CLIP_COUNT, MOVED, SCALED, KNOT_SIZE, SLOT_COUNT, HAND, TICK, DECODED, CLIP_TABLE, TIMING, KNOT_TIMES,
     SLOT_OF, KNOT_OF, STAMPS, POOL, MOVED_AT, SCALED_AT, REST, PARENTS, PLACES, SHARES, POSES, SUMS, ROOM,
-    LOCAL, MODEL,
-) = range(28)  # fmt: skip
+    LOCAL, MODEL, SPARE,
+) = range(29)  # fmt: skip
+# What one call is about: addresses of the handles and the arrays, then sizes.
+CALL = 8
+_HANDLES, _WHICH, _TIMES, _WEIGHTS, _MODELS, _CHARACTERS, _MANY = range(7)
 STILL, UNIT = -1, -2  # in MOVED_AT and SCALED_AT: the group is constant; it is constant and 1
 FINE, BAD_CLIP, BAD_TIME, BAD_WEIGHT = range(4)
+_LOOKS = 8  # at slots of the pool for one that is not in use
 
 
 @inlined
@@ -73,7 +86,7 @@ def _frame_at(time_s, start_s, rate_hz, frames, loop):
     """As `decode.frame_at`, without the division of Python, which takes as long as sampling."""
     last = float(frames - 1)
     position = (time_s - start_s) * rate_hz
-    if loop and last > 0:
+    if loop and last > 0 and not 0 <= position < last:
         position -= np.floor(position / last) * last
     if not position >= 0.0:  # before the start; or so far away that it is no number any more
         position = 0.0
@@ -131,6 +144,7 @@ def _decode_knot(handles, clip, knot, slot):
         store(pool, to + k, load(room, k))
     _copy_groups(room, 4 * padded, padded, int64_at(handles[MOVED_AT]), pool, to + 4 * padded, moved)
     _copy_groups(room, 7 * padded, padded, int64_at(handles[SCALED_AT]), pool, to + 4 * padded + 3 * moved, scaled)
+    handles[DECODED] += 1
 
 
 @inlined
@@ -146,15 +160,32 @@ def _pooled(handles, clip, knot, slot_of, knot_of, stamps):
         if knot_of[slot] >= 0:
             slot_of[knot_of[slot]] = -1
         _decode_knot(handles, clip, knot, slot)
-        handles[DECODED] += 1
         slot_of[knot], knot_of[slot] = slot, knot
     stamps[slot] = handles[TICK]
     return slot * handles[KNOT_SIZE]
 
 
+@inlined
+def _seen(handles, clip, knot, slot_of, knot_of, stamps, since, spare):
+    """As `_pooled`, but knots used ``since`` then stay in the pool: where that leaves no room the spare slot is used."""
+    slots = handles[SLOT_COUNT]
+    if slot_of[knot] < 0 and handles[SPARE] > 0:
+        slot, looks = handles[HAND], 0
+        while looks < _LOOKS and stamps[slot] >= since:
+            slot, looks = slot + 1 if slot + 1 < slots else 0, looks + 1
+        handles[HAND] = slot
+        if looks == _LOOKS:
+            _decode_knot(handles, clip, knot, slots + spare)
+            return (slots + spare) * handles[KNOT_SIZE]
+    return _pooled(handles, clip, knot, slot_of, knot_of, stamps)
+
+
 @kernel
-def _place(handles, which, times_s, weights, first, many, to):
-    """Where the pool holds the two knots of each clip of a character, the share between them and the clip's weight."""
+def _place(handles, which, times_s, weights, first, many, to, since):
+    """Where the pool holds the two knots of each clip of a character, the share between them and the clip's weight.
+
+    Knots used ``since`` then stay in the pool, see `_seen`.
+    """
     table, timing = int64_at(handles[CLIP_TABLE]), float64_at(handles[TIMING])
     slot_of, knot_of = int64_at(handles[SLOT_OF]), int64_at(handles[KNOT_OF])
     stamps, places, shares = int64_at(handles[STAMPS]), int64_at(handles[PLACES]), float32_at(handles[SHARES])
@@ -174,12 +205,10 @@ def _place(handles, which, times_s, weights, first, many, to):
         knot, share = knot * fineness + part_of, share - part_of
         after = min(knot + 1, table[row + KNOTS] - 1) if share > 0 else knot
         base = table[row + FIRST_KNOT]
-        places[to + 2 * k] = _pooled(
-            handles, clip, base + knot, slot_of, knot_of, stamps
-        )  # fmt: skip
-        places[to + 2 * k + 1] = _pooled(
-            handles, clip, base + after, slot_of, knot_of, stamps
-        )  # fmt: skip
+        for own, place in enumerate((knot, after)):
+            places[to + 2 * k + own] = _seen(
+                handles, clip, base + place, slot_of, knot_of, stamps, since, to + 2 * k + own
+            )  # fmt: skip
         shares[to + 2 * k] = np.float32(share)
         # Where nothing weighs anything the first clip is played.
         own = weights[first + k] / total if total > 0 else 1.0 if k == 0 else 0.0
@@ -189,7 +218,7 @@ def _place(handles, which, times_s, weights, first, many, to):
 @inlined
 def _length_factor(w, x, y, z):
     """1 / length by the series about length 1; knots 30 degrees apart shorten a quaternion to 0.991."""
-    n = w * w + x * x + y * y + z * z
+    n = quat_dot(w, x, y, z, w, x, y, z)
     return 1.875 + n * (0.375 * n - 1.25)
 
 
@@ -209,9 +238,9 @@ def _rotations(pool, places, shares, first, many, j, padded):
     for k in range(first + 2, first + 2 * many, 2):
         w, x, y, z = _between4(pool, places[k] + j, places[k + 1] + j, padded, splat(shares, k))
         r = splat(shares, k + 1) * _length_factor(w, x, y, z)
-        r = flip_sign(r, w * sw + x * sx + y * sy + z * sz)
+        r = flip_sign(r, quat_dot(w, x, y, z, sw, sx, sy, sz))
         sw, sx, sy, sz = sw + w * r, sx + x * r, sy + y * r, sz + z * r
-    r = rsqrt(sw * sw + sx * sx + sy * sy + sz * sz)
+    r = rsqrt(quat_dot(sw, sx, sy, sz, sw, sx, sy, sz))
     return sw * r, sx * r, sy * r, sz * r
 
 
@@ -232,14 +261,30 @@ def _vectors(pool, places, shares, first, many, at, width):
 
 
 @kernel
-def animate(state, which, times_s, weights, models):
+def aim(call, which, times_s, weights):
+    """Let a call be about other arrays, of any shape and of a size that the call's sizes tell."""
+    about = pointer(call)
+    about[_WHICH], about[_TIMES], about[_WEIGHTS] = which.ctypes.data, times_s.ctypes.data, weights.ctypes.data
+
+
+@inlined
+def _arrays(call):
+    about = int64_at(call)
+    return (
+        int64_at(about[_HANDLES]), int64_at(about[_WHICH]), float64_at(about[_TIMES]), float64_at(about[_WEIGHTS]),
+        about[_MANY],
+    )  # fmt: skip
+
+
+@kernel
+def animate(call):
     """Sample, blend and walk all characters; `FINE` or what is wrong with the numbers, and then nothing is written.
 
-    ``which``, ``times_s`` and ``weights`` are (characters, clips each).
+    ``call`` is the address of CALL numbers, of which clips, times and weights are (characters, clips each).
     """
-    characters, many, blocks = which.shape[0], which.shape[1], models.shape[0]
-    clip_of, time_of, weight_of, out = pointer(which), pointer(times_s), pointer(weights), pointer(models)
-    handles = pointer(state)
+    handles, clip_of, time_of, weight_of, many = _arrays(call)
+    characters, out = int64_at(call)[_CHARACTERS], float32_at(int64_at(call)[_MODELS])
+    blocks = (characters + WIDTH - 1) // WIDTH
     wrong = _wrong(clip_of, time_of, weight_of, characters * many, handles[CLIP_COUNT])
     if wrong != FINE:
         return wrong
@@ -254,7 +299,8 @@ def animate(state, which, times_s, weights, models):
         present = min(characters - block * WIDTH, WIDTH)
         for i in range(present):
             _place(
-                handles, clip_of, time_of, weight_of, (block * WIDTH + i) * many, many, 2 * i * many
+                handles, clip_of, time_of, weight_of, (block * WIDTH + i) * many, many, 2 * i * many,
+                max(handles[TICK] - 2 * blocks, 0),
             )  # fmt: skip
         base = block * joints * 12 * WIDTH
         for j in range(0, joints, WIDTH):
@@ -317,35 +363,89 @@ def animate(state, which, times_s, weights, models):
 # --- one character: joints in the lanes, then one matrix in a register ------------------------------------------------------
 
 
+_SIXTEEN = Vector(32, 16)
+
+
+def _quad(context, builder, sig, args, which, index):
+    """Four neighbours of argument ``which``, ``index`` steps of the argument after next from the one after."""
+    step = context.cast(builder, args[which + 2], sig.args[which + 2], types.intp)
+    offset = builder.mul(step, ir.Constant(step.type, index))
+    return read(builder, address(context, builder, sig, args, which, ir.VectorType(ir.FloatType(), 4), offset), 4)
+
+
 @intrinsic
-def _multiply(typing, a, b):
-    """The product of two 4x4 matrices, each sixteen numbers row by row."""
+def _store_quads_of_lanes(typing, array, at, a, b, c, d):
+    """Four vectors as W groups of four neighbours, first those of every fourth lane from 0 on, then from 1 on and so on.
+
+    In this order eight shuffles do, none of which leaves its 128 bits.
+    """
 
     def generate(context, builder, sig, args):
-        total = None
-        for k in range(4):
-            column = shuffle(builder, args[0], args[0], [4 * (n // 4) + k for n in range(16)])
-            row = shuffle(builder, args[1], args[1], [4 * k + n % 4 for n in range(16)])
-            product = builder.fmul(column, row, flags=("contract", "nsz"))
-            total = product if total is None else builder.fadd(total, product, flags=("contract", "nsz"))
+        count = a.lanes
+
+        def zipped(x, y, first):
+            order = [g + first + k // 2 + k % 2 * count for g in range(0, count, 4) for k in range(4)]
+            return shuffle(builder, x, y, order)
+
+        r = args[2:]
+        low, high = ((zipped(r[0], r[2], first), zipped(r[1], r[3], first)) for first in (0, 2))
+        parts = [zipped(*pair, first) for pair in (low, high) for first in (0, 2)]
+        for k, part in enumerate(parts):
+            offset = ir.Constant(ir.IntType(64), k * count)
+            write(builder, part, address(context, builder, sig, args, 0, a.llvm, offset), 4)
+        return context.get_dummy_value()
+
+    return types.void(array, at, a, b, c, d), generate
+
+
+@intrinsic
+def _local_matrix(typing, array, at, step):
+    """A 4x4 matrix of which three rows stand ``step`` apart."""
+
+    def generate(context, builder, sig, args):
+        rows = [_quad(context, builder, sig, args, 0, k) for k in range(3)]
+        last = ir.Constant(ir.VectorType(ir.FloatType(), 4), [0.0, 0.0, 0.0, 1.0])
+        upper, lower = shuffle(builder, rows[0], rows[1], range(8)), shuffle(builder, rows[2], last, range(8))
+        return shuffle(builder, upper, lower, range(16))
+
+    return _SIXTEEN(array, at, step), generate
+
+
+@intrinsic
+def _multiply(typing, parent, array, at, step):
+    """The product of a 4x4 matrix in sixteen lanes, row by row, and the `_local_matrix` there.
+
+    Its rows are spread over the lanes as they are loaded, which costs no shuffle.
+    """
+
+    def generate(context, builder, sig, args):
+        above = args[0]
+        bits = ir.VectorType(ir.IntType(32), 16)
+        keep = ir.Constant(bits, [-1 if k % 4 == 3 else 0 for k in range(16)])
+        total = builder.bitcast(builder.and_(builder.bitcast(above, bits), keep), parent.llvm)
+        for k in range(3):
+            column = shuffle(builder, above, above, [4 * (n // 4) + k for n in range(16)])
+            row = _quad(context, builder, sig, args, 1, k)
+            row = shuffle(builder, row, row, [n % 4 for n in range(16)])
+            total = builder.fadd(total, builder.fmul(column, row, flags=FLAGS), flags=FLAGS)
         return total
 
-    return a(a, b), generate
+    return parent(parent, array, at, step), generate
 
 
-@kernel
-def animate_one(state, which, times_s, weights):
+@short_kernel
+def animate_one(call):
     """The whole chain for one character; `FINE` or what is wrong with the numbers.
 
-    ``which``, ``times_s`` and ``weights`` are (clips,); the matrices [joint][16] are left at ``MODEL``.
+    ``call`` is the address of CALL numbers, of which clips, times and weights are (clips,); the matrices [joint][16] are left
+    at ``MODEL``.
     """
-    handles, many = pointer(state), which.shape[0]
-    clip_of, time_of, weight_of = pointer(which), pointer(times_s), pointer(weights)
+    handles, clip_of, time_of, weight_of, many = _arrays(call)
     wrong = _wrong(clip_of, time_of, weight_of, many, handles[CLIP_COUNT])
     if wrong != FINE:
         return wrong
     handles[TICK] += 1
-    _place(handles, clip_of, time_of, weight_of, 0, many, 0)
+    _place(handles, clip_of, time_of, weight_of, 0, many, 0, max(handles[TICK] - 2, 0))
     joints, padded, moved, scaled = handles[JOINTS], handles[PADDED], handles[MOVED], handles[SCALED]
     pool, rest, local, out = (
         float32_at(handles[POOL]),
@@ -355,7 +455,6 @@ def animate_one(state, which, times_s, weights):
     )
     places, shares = int64_at(handles[PLACES]), float32_at(handles[SHARES])
     moved_at, scaled_at, parents = int64_at(handles[MOVED_AT]), int64_at(handles[SCALED_AT]), int64_at(handles[PARENTS])
-    matrices = 16 * WIDTH  # after the rows, of which the last four are 0 0 0 1
     for j in range(0, padded, WIDTH):
         moves, grows = moved_at[j // GROUP], scaled_at[j // GROUP]
         w, x, y, z = _rotations(pool, places, shares, 0, many, j, padded)
@@ -372,14 +471,18 @@ def animate_one(state, which, times_s, weights):
             a, b, c = a * sx, b * sy, c * sz
             d, e, f = d * sx, e * sy, f * sz
             g, h, i = g * sx, h * sy, i * sz
-        store4(local, 0, WIDTH, a, b, c, tx)
-        store4(local, 4 * WIDTH, WIDTH, d, e, f, ty)
-        store4(local, 8 * WIDTH, WIDTH, g, h, i, tz)
-        for row in range(0, 16, WIDTH):
-            transpose(local, row * WIDTH, WIDTH, local, matrices + j * 16 + row, 16)
+        _store_quads_of_lanes(local, 12 * j, a, b, c, tx)
+        _store_quads_of_lanes(local, 12 * j + 4 * WIDTH, d, e, f, ty)
+        _store_quads_of_lanes(local, 12 * j + 8 * WIDTH, g, h, i, tz)
+    mine = load_sixteen(out, 0)
     for k in range(joints):
-        mine, up = load_sixteen(local, matrices + k * 16), parents[k]
-        if up >= 0:
-            mine = _multiply(load_sixteen(out, up * 16), mine)
+        lane, up = k & (WIDTH - 1), parents[k]
+        at = 12 * (k - lane) + (lane & 3) * WIDTH + (lane & ~3)
+        if up < 0:
+            mine = _local_matrix(local, at, 4 * WIDTH)
+        else:
+            if up != k - 1:  # else it is still in its register
+                mine = load_sixteen(out, up * 16)
+            mine = _multiply(mine, local, at, 4 * WIDTH)
         store(out, k * 16, mine)
     return FINE

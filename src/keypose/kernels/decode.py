@@ -14,10 +14,11 @@ Layout of the arrays (all made by `keypose.play.store.decoder`; tracks are sorte
                       tracks; the same per block of morphs; per slot 8 times its first cell plus its deepest level n (it
                       has 2 ** n cells); per cell 8 times its segment plus the segment's level; the byte offset of each
                       segment
-    tables   float32  cosine rows [16][16]; steps of the tracks; scales of the segments; the constant pose; per joint the
-                      rotations before and after the coded one, and 1 where its numbers are x, y, z / (1 + w)
+    tables   float32  cosine rows [16][16]; steps of the tracks; scales of the segments; the constant pose, with coded
+                      rotations in each 16 joints of which one turns, else with rotations; per joint the rotations before and after the coded one, and 1 where its numbers are x, y, z / (1 + w)
     book     uint8    per profile 128 bytes: of each coefficient the four bytes that hold it (4 x 16), how far to shift left
-                      (16), then right (16), which are stored (one bit each), how many bytes they take together
+                      (16), then right (16; 0 where none is stored), where each four coefficients start (4), how many bytes
+                      they take together; the four bytes count from the start of the track, or of their four (WINDOWED)
     codes    uint8    MARGIN bytes, then per segment one profile per track, filled up to a multiple of 16 with an empty
                       one, and the packed coefficients, then MARGIN bytes
     sums     float32  room for the tracks, filled up to a multiple of 16, and 16 more
@@ -56,7 +57,9 @@ HEADER = 16
 _I8, _I16, _I32, _I64 = (ir.IntType(n) for n in (8, 16, 32, 64))
 _WORDS = ir.VectorType(_I32, FRAMES)
 _SIXTEEN = Vector(32, FRAMES)
-_LEFT, _RIGHT, _STORED, SIZE = 64, 80, 96, 98
+_LEFT, _RIGHT, _WINDOWS, SIZE = 64, 80, 96, 100
+# Whether four coefficients at a time are looked up in the 16 bytes from where they start; else all in 64 bytes.
+WINDOWED = "avx512vbmi" not in FEATURES
 
 
 def _at(builder, data, offset, kind):
@@ -66,15 +69,27 @@ def _at(builder, data, offset, kind):
 
 def _gather_words(builder, data, table):
     """The 32 bits around each coefficient."""
-    if "avx512vbmi" in FEATURES:
+    if not WINDOWED:
         whole = ir.VectorType(_I8, 64)
         codes, where = read(builder, _at(builder, data, 0, whole), 1), read(builder, _at(builder, table, 0, whole), 1)
         found = call_llvm(builder, "llvm.x86.avx512.permvar.qi.512", whole, [codes, where])
         return builder.bitcast(found, _WORDS)
-    out = ir.Constant(_WORDS, ir.Undefined)
-    for k in range(FRAMES):
-        offset = builder.zext(builder.load(_at(builder, table, 4 * k, _I8)), _I64)
-        word = read(builder, builder.bitcast(builder.gep(data, [offset]), _I32.as_pointer()), 1)
+    fours = [_gather_four(builder, data, table, first) for first in range(0, FRAMES, 4)]
+    low, high = (shuffle(builder, *fours[k : k + 2], range(8)) for k in (0, 2))
+    return shuffle(builder, low, high, range(FRAMES))
+
+
+def _gather_four(builder, data, table, first):
+    start = builder.zext(builder.load(_at(builder, table, _WINDOWS + first // 4, _I8)), _I64)
+    window, four = builder.gep(data, [start]), ir.VectorType(_I32, 4)
+    if "ssse3" in FEATURES:
+        part = ir.VectorType(_I8, 16)
+        codes, where = (read(builder, _at(builder, *place, part), 1) for place in ((window, 0), (table, 4 * first)))
+        return builder.bitcast(call_llvm(builder, "llvm.x86.ssse3.pshuf.b.128", part, [codes, where]), four)
+    out = ir.Constant(four, ir.Undefined)
+    for k in range(4):
+        offset = builder.zext(builder.load(_at(builder, table, 4 * (first + k), _I8)), _I64)
+        word = read(builder, builder.bitcast(builder.gep(window, [offset]), _I32.as_pointer()), 1)
         out = builder.insert_element(out, word, _I32(k))
     return out
 
@@ -90,8 +105,7 @@ def unpack_coefficients(typing, codes, start, book, entry):
             builder.zext(read(builder, _at(builder, table, offset, ir.VectorType(_I8, FRAMES)), 1), _WORDS)
             for offset in (_LEFT, _RIGHT)
         )
-        bits = read(builder, _at(builder, table, _STORED, _I16), 2)
-        stored = builder.bitcast(bits, ir.VectorType(ir.IntType(1), FRAMES))
+        stored = builder.icmp_signed(">", right, ir.Constant(_WORDS, [_I32(0)] * FRAMES))
         # The coefficient to the top, for its sign, then down but for one bit, which is always set.
         halves = builder.ashr(builder.shl(words, left), right)
         halves = builder.or_(halves, ir.Constant(_WORDS, [_I32(1)] * FRAMES))
@@ -100,24 +114,29 @@ def unpack_coefficients(typing, codes, start, book, entry):
     return _SIXTEEN(codes, start, book, entry), generate
 
 
-def _joined(lanes_each):
-    """Add the two halves of every group of lanes of two vectors; the groups of the first come first."""
+def _joined(near, far):
+    """Add numbers of two vectors, each to the one beside it; ``near`` and ``far`` say of which lanes (16 more: of b)."""
 
     @intrinsic
     def join(typing, a, b):
         def generate(context, builder, sig, args):
-            half = lanes_each // 2
-            groups = range(0, 2 * FRAMES, lanes_each)
-            low = [g + k for g in groups for k in range(half)]
-            low, high = (shuffle(builder, args[0], args[1], [k + shift for k in low]) for shift in (0, half))
-            return builder.fadd(low, high, flags=("contract", "nsz"))
+            return builder.fadd(*(shuffle(builder, *args, order) for order in (near, far)), flags=("contract", "nsz"))
 
         return _SIXTEEN(a, b), generate
 
     return join
 
 
-_join_16, _join_8, _join_4, _join_2 = (_joined(n) for n in (16, 8, 4, 2))
+def _fours(*places):
+    """Lanes of every group of four."""
+    return [four + k for four in range(0, FRAMES, 4) for k in places]
+
+
+# Halves side by side, then quarters; the last two steps stay inside each four lanes, which is what registers do best.
+_join_halves = _joined([*range(8), *range(16, 24)], [*range(8, 16), *range(24, 32)])
+_join_quarters = _joined(*([half + k for half in range(0, 32, 8) for k in range(at, at + 4)] for at in (0, 4)))
+_join_pairs = _joined(_fours(0, 1, 16, 17), _fours(2, 3, 18, 19))
+_join_single = _joined(_fours(0, 2, 16, 18), _fours(1, 3, 17, 19))
 
 
 @intrinsic
@@ -145,24 +164,26 @@ def _one(codes, profile, start, book, weights):
 
 
 @inlined
-def _two(codes, profile, start, book, weights):
+def _eight(codes, profile, start, book, weights):
+    """Eight tracks: in each vector that returns one and the fourth after it, eight numbers each."""
     a, start = _one(codes, profile, start, book, weights)
     b, start = _one(codes, profile + 1, start, book, weights)
-    return _join_16(a, b), start
+    c, start = _one(codes, profile + 2, start, book, weights)
+    d, start = _one(codes, profile + 3, start, book, weights)
+    e, start = _one(codes, profile + 4, start, book, weights)
+    f, start = _one(codes, profile + 5, start, book, weights)
+    g, start = _one(codes, profile + 6, start, book, weights)
+    h, start = _one(codes, profile + 7, start, book, weights)
+    return _join_halves(a, e), _join_halves(b, f), _join_halves(c, g), _join_halves(d, h), start
 
 
 @inlined
-def _four(codes, profile, start, book, weights):
-    a, start = _two(codes, profile, start, book, weights)
-    b, start = _two(codes, profile + 2, start, book, weights)
-    return _join_8(a, b), start
-
-
-@inlined
-def _eight(codes, profile, start, book, weights):
-    a, start = _four(codes, profile, start, book, weights)
-    b, start = _four(codes, profile + 4, start, book, weights)
-    return _join_4(a, b), start
+def _sixteen(codes, profile, start, book, weights):
+    a, b, c, d, start = _eight(codes, profile, start, book, weights)
+    e, f, g, h, start = _eight(codes, profile + 8, start, book, weights)
+    ab = _join_pairs(_join_quarters(a, e), _join_quarters(b, f))
+    cd = _join_pairs(_join_quarters(c, g), _join_quarters(d, h))
+    return _join_single(ab, cd), start
 
 
 @inlined
@@ -173,9 +194,8 @@ def sum_tracks(layout, tables, book, codes, segment, weights, again, sums):
     start = profiles + tracks
     steps = layout[STEPS]
     for track in range(0, tracks, FRAMES):
-        a, start = _eight(codes, profiles + track, start, book, weights)
-        b, start = _eight(codes, profiles + track + 8, start, book, weights)
-        total = _join_2(a, b) * load_sixteen(tables, steps + track)
+        total, start = _sixteen(codes, profiles + track, start, book, weights)
+        total = total * load_sixteen(tables, steps + track)
         if again:
             total = total + load_sixteen(sums, track)
         store(sums, track, total)
@@ -228,7 +248,13 @@ def decode_pose(clip, frame, share, sums, out, at):
         masks += 2
     before = layout[BEFORE]
     after, complete = before + 4 * padded, before + 8 * padded
+    groups = padded // FRAMES
     for j in range(0, padded, lanes(tables)):
+        turning = layout[MASKS] + 2 * (j // FRAMES)
+        if not (
+            layout[turning] | layout[turning + 2 * groups] | layout[turning + 4 * groups] | layout[turning + 6 * groups]
+        ):
+            continue  # the constant pose holds rotations, where none of a group moves
         w, x, y, z = load4(out, at + j, padded)
         square = x * x + y * y + z * z
         rational = load(tables, complete + j)

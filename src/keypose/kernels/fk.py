@@ -13,13 +13,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
 
 from keypose.errors import ShapeError
 from keypose.kernels.rotations import load3, load4, quat_matrix, quat_multiply, quat_rotate, store3, store4
-from keypose.kernels.runtime import WIDTH, aligned, flat, inlined, kernel, readable, scratch_like
-from keypose.kernels.vectors import fill, lanes, load_triples, splat, store, transpose
+from keypose.kernels.runtime import WIDTH, aligned, inlined, intrinsic, kernel, readable, scratch_like
+from keypose.kernels.vectors import (
+    address,
+    fill,
+    lanes,
+    load_triples,
+    pointer,
+    read,
+    shuffle,
+    splat,
+    store,
+    transpose,
+    vector_of,
+)
 
-_INT64 = np.dtype(np.int64)
+_INT64, _FLOAT32 = np.dtype(np.int64), np.dtype(np.float32)
 _NONE, _STATIC, _MOVING = 0, 1, 2  # how a kind of local transform is given: not at all, once, or for every frame
 
 
@@ -86,20 +100,32 @@ def rotations_positions_lanes(
     up to a multiple of L (fastest from `runtime.aligned` memory); offsets (J, 3); roots (F / L, 3, L). Returns
     (F / L, J, 7, L), wxyz and position, in ``out`` if given.
     """
-    parents, dtype = flat(parents, _INT64), rotations.dtype
-    joints, count = len(parents), lane_count(dtype)
-    frames, row = rotations.shape
-    if row % count or row < 4 * joints or frames % count or roots.shape != (frames // count, 3, count):
+    dtype = rotations.dtype
+    count = WIDTH if dtype is _FLOAT32 else lane_count(dtype)
+    parents, rotations = _plain(parents, _INT64), _plain(rotations, dtype)
+    offsets, roots = _plain(offsets, dtype), _plain(roots, dtype)
+    joints, (frames, row) = len(parents), rotations.shape
+    blocks = frames // count
+    if row % count or row < 4 * joints or frames % count or roots.shape != (blocks, 3, count):
         raise ShapeError(
             f"rotations: expected a multiple of {count} frames of {-(-4 * joints // count) * count} numbers"
         )
-    shape = (frames // count, joints, 7, count)
+    shape = (blocks, joints, 7, count)
     if out is None:
         out = aligned(frames * joints * 7, dtype).reshape(shape)
-    if out.shape != shape or out.dtype != dtype or not out.flags.c_contiguous or len(offsets) != joints:
+    if out.shape != shape or out.dtype != dtype or not out.flags.carray or offsets.shape != (joints, 3):
         raise ShapeError(f"out: expected {shape} of {dtype}, and {joints} offsets")
-    _turn_and_move_lanes(parents, *(flat(a, dtype) for a in (rotations, offsets, roots)), row, out.reshape(-1))
+    _turn_and_move_lanes(parents, rotations, offsets, roots, out)
     return out
+
+
+def _plain(values: Any, dtype: np.dtype) -> np.ndarray:
+    """The values as they are where they are an array of that type, in C order."""
+    if type(values) is np.ndarray and values.dtype is dtype:
+        flags = values.flags
+        if flags.c_contiguous and flags.aligned:
+            return values
+    return np.require(values, dtype, ["C", "A"])
 
 
 def lane_count(dtype: Any) -> int:
@@ -223,31 +249,81 @@ def _turn_and_move(parents, rotations, translations, moving, roots, has_roots, f
         _from_lanes(places, moved, frame, joints * 3)
 
 
+@intrinsic
+def _load_rotations(typing, array, at, stride):
+    """L quaternions, ``stride`` elements apart, as four vectors.
+
+    A register is put together from quaternions that lie four rows apart, so that transposing each group of four lanes
+    brings all frames into their order: eight shuffles, where a transpose of whole tiles takes sixteen per joint and a
+    trip through memory.
+    """
+    vector = vector_of(array)
+
+    def generate(context, builder, sig, args):
+        count, width = vector.lanes, min(4, vector.lanes)
+        groups = range(count // width)
+        step = context.cast(builder, args[2], sig.args[2], types.intp)
+
+        def part(row, first):
+            offset = builder.add(builder.mul(step, ir.Constant(step.type, row)), ir.Constant(step.type, first))
+            place = address(context, builder, sig, args, 0, ir.VectorType(vector.element, width), offset)
+            return read(builder, place, vector.bits // 8)
+
+        def gathered(rows, first):
+            spread = [k % width for k in range(count)]
+            result = None
+            for group, row in enumerate(rows):
+                value = part(row, first)
+                value = shuffle(builder, value, value, spread)
+                mask = [ir.IntType(1)(k // width == group) for k in range(count)]
+                mask = ir.Constant(ir.VectorType(ir.IntType(1), count), mask)
+                result = value if result is None else builder.select(mask, value, result)
+            return result
+
+        def zipped(a, b, first):
+            """Lanes ``first`` and the next of each group, by turns from a and b."""
+            order = [group * width + first + k // 2 + k % 2 * count for group in groups for k in range(width)]
+            return shuffle(builder, a, b, order)
+
+        if width == 2:
+            (a, b), (c, d) = ([part(row, first) for row in range(2)] for first in (0, 2))
+            parts = [shuffle(builder, *pair, order) for pair in ((a, b), (c, d)) for order in ([0, 2], [1, 3])]
+        else:
+            r = [gathered([group * width + row for group in groups], 0) for row in range(4)]
+            low, high = ((zipped(r[0], r[2], first), zipped(r[1], r[3], first)) for first in (0, 2))
+            parts = [zipped(*pair, first) for pair in (low, high) for first in (0, 2)]
+        return context.make_tuple(builder, sig.return_type, parts)
+
+    return types.UniTuple(vector, 4)(array, at, stride), generate
+
+
 @kernel
-def _turn_and_move_lanes(parents, rotations, offsets, roots, row, out):
-    """Bound by the cache that holds a whole clip: finishing a few joints per transpose, transposing a block ahead and
-    fetching the output's lines early were all measured and are no faster."""
-    count, joints = lanes(rotations), parents.shape[0]
-    turns = scratch_like(rotations, row * count)
-    for block in range(rotations.shape[0] // (row * count)):
-        for column in range(0, row, count):
-            transpose(rotations, block * count * row + column, row, turns, column * count, count)
-        base = block * joints * 7 * count
+def _turn_and_move_lanes(parents, rotations, offsets, roots, out):
+    """A parent that is the joint before, as most are, is still in registers: reading back what was just written would
+    wait for it."""
+    (frames, row), count, joints = rotations.shape, lanes(rotations), parents.shape[0]
+    turns, bones, starts, models = pointer(rotations), pointer(offsets), pointer(roots), pointer(out)
+    for block in range(frames // count):
+        first, base = block * count * row, block * joints * 7 * count
+        root = load3(starts, block * 3 * count, count)
+        pw = px = py = pz = ox = oy = oz = root[0]
         for j in range(joints):
             here, p = base + j * 7 * count, parents[j]
-            w, x, y, z = load4(turns, j * 4 * count, count)
+            w, x, y, z = _load_rotations(turns, first + j * 4, row)
             if p < 0:
-                tx, ty, tz = load3(roots, block * 3 * count, count)
+                tx, ty, tz = root
             else:
-                up = base + p * 7 * count
-                pw, px, py, pz = load4(out, up, count)
-                ox, oy, oz = load3(out, up + 4 * count, count)
+                if p != j - 1:
+                    up = base + p * 7 * count
+                    pw, px, py, pz = load4(models, up, count)
+                    ox, oy, oz = load3(models, up + 4 * count, count)
                 w, x, y, z = quat_multiply(pw, px, py, pz, w, x, y, z)
-                ax, ay, az = _splat3(offsets, j * 3)
+                ax, ay, az = _splat3(bones, j * 3)
                 tx, ty, tz = quat_rotate(pw, px, py, pz, ax, ay, az)
                 tx, ty, tz = tx + ox, ty + oy, tz + oz
-            store4(out, here, count, w, x, y, z)
-            store3(out, here + 4 * count, count, tx, ty, tz)
+            store4(models, here, count, w, x, y, z)
+            store3(models, here + 4 * count, count, tx, ty, tz)
+            pw, px, py, pz, ox, oy, oz = w, x, y, z, tx, ty, tz
 
 
 @inlined

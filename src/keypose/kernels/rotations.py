@@ -4,7 +4,13 @@
 from __future__ import annotations
 
 from keypose.kernels.runtime import inlined
-from keypose.kernels.vectors import load, store
+from keypose.kernels.vectors import add_halves, load, store
+
+
+@inlined
+def quat_dot(aw, ax, ay, az, bw, bx, by, bz):
+    """The cosine of half the angle between two unit quaternions."""
+    return add_halves(aw * bw + ax * bx, ay * by + az * bz)
 
 
 @inlined

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from numba import config as _config
-from numba import njit
+from numba import njit, types
 from numba.core import caching
 from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic as _intrinsic
@@ -135,9 +135,9 @@ class _Cache(caching.FunctionCache):
             self.disable()
 
 
-def _compiled(fastmath: Any) -> Callable[[Callable[..., Any]], Any]:
+def _compiled(fastmath: Any, nogil: bool = True) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath=fastmath)(function)
+        dispatcher: Any = njit(error_model="numpy", boundscheck=False, nogil=nogil, fastmath=fastmath)(function)
         with contextlib.suppress(RuntimeError, OSError):  # nowhere to write
             dispatcher._cache = _Cache(function)
         return dispatcher
@@ -147,9 +147,23 @@ def _compiled(fastmath: Any) -> Callable[[Callable[..., Any]], Any]:
 
 # Fused multiply-add is welcome everywhere; the other fast-math flags are not, because they make NaN undefined.
 kernel = _compiled({"contract", "nsz"})
+short_kernel = _compiled({"contract", "nsz"}, nogil=False)  # so short that giving the GIL away would show
 exact_kernel = _compiled(False)  # text: the one division must round as IEEE says
 inlined = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath={"contract", "nsz"}, inline="always")
 exact_inlined = njit(error_model="numpy", boundscheck=False, nogil=True, fastmath=False, inline="always")
+
+
+_OF_ADDRESS = (types.int64,)
+
+
+def entry_of_address(function: Any) -> Callable[[int], Any]:
+    """The machine code of a kernel that takes one address, without Numba's look at what it is given.
+
+    Numba takes longer to find out the types of a few arrays than a short kernel runs.
+    """
+    if _OF_ADDRESS not in function.overloads:
+        function.compile(_OF_ADDRESS)
+    return function.overloads[_OF_ADDRESS].entry_point
 
 
 # --- memory: every buffer starts on a cache line, for unaligned vectors straddle two ------------------------------------

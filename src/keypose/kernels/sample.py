@@ -12,12 +12,15 @@ on the side of the sum so far.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from keypose.errors import ShapeError
 from keypose.kernels.clips import (
     FRAMES,
     GROUP,
+    INT16_SCALE,
     JOINTS,
     MOVING,
     MOVING_AT,
@@ -25,6 +28,7 @@ from keypose.kernels.clips import (
     PADDED,
     PARENTS,
     REST,
+    ROTATIONS,
     TRANSLATIONS,
     WAVE_PARENTS,
     WAVE_TABLE,
@@ -34,12 +38,22 @@ from keypose.kernels.clips import (
     compile_clips,
     mix,
 )
-from keypose.kernels.rotations import load3, load4, quat_matrix, quat_multiply, quat_rotate, store3, store4
-from keypose.kernels.runtime import WIDTH, aligned, inlined, kernel, scratch
+from keypose.kernels.rotations import (
+    load3,
+    load4,
+    quat_dot,
+    quat_matrix,
+    quat_multiply,
+    quat_rotate,
+    store3,
+    store4,
+)
+from keypose.kernels.runtime import WIDTH, aligned, entry_of_address, inlined, kernel, scratch, short_kernel
 from keypose.kernels.slerp import slerp, slerp_lanes
 from keypose.kernels.vectors import (
     flip_sign,
     float32_at,
+    int16_at,
     int32_at,
     int64_at,
     load,
@@ -54,7 +68,7 @@ from keypose.kernels.vectors import (
 )
 
 __all__ = [
-    "CompiledClips", "Mix", "animate_crowd", "animate_one", "compile_clips", "mix", "sample", "sample_rows", "single_character", "slerp", "slerp_lanes",
+    "CompiledClips", "Mix", "animate_crowd", "animate_one", "compile_clips", "mix", "sample", "sample_rows", "single_call", "single_character", "slerp", "slerp_lanes",
 ]  # fmt: skip
 
 _ROWS = 7  # w x y z, translation
@@ -80,13 +94,16 @@ def animate_crowd(clips: CompiledClips, state: Mix, out: np.ndarray | None = Non
 
 
 def animate_one(clips: CompiledClips, state: Mix, out: np.ndarray | None = None) -> np.ndarray:
-    """Model matrices (J, 4, 4) float32 of the first character of a mix; in ``out`` if given."""
-    shape = (clips.joint_count, 4, 4)
-    out = aligned(clips.joint_count * 16).reshape(shape) if out is None else out
-    _check_out(out, shape)
-    if not single_character(clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out):
+    """Model matrices (J, 4, 4) float32 of the first character of a mix; in ``out`` if given.
+
+    The same clips, mix and ``out`` again, with new numbers in the mix, need no second look.
+    """
+    known = state.last[0]
+    if known[0] is not clips or known[1] is not out:
+        known = _single_call(clips, state, out)
+    if not known[2](known[3]):
         _refuse(clips, state)
-    return out
+    return known[1]
 
 
 def sample(clips: CompiledClips, state: Mix) -> tuple[np.ndarray, np.ndarray]:
@@ -111,6 +128,27 @@ def sample_rows(clips: CompiledClips, state: Mix, out: np.ndarray) -> None:
     _check_out(out, (len(out), _ROWS, clips.padded))
     if not _sample_poses(clips.rotations, clips.scale, clips.handles, state.frames, state.shares, out):
         _refuse(clips, state)
+
+
+def _single_call(clips: CompiledClips, state: Mix, out: np.ndarray | None) -> tuple[Any, ...]:
+    """The clips, the output, what to run on which address, and what is there."""
+    shape = (clips.joint_count, 4, 4)
+    given, out = out, aligned(clips.joint_count * 16).reshape(shape) if out is None else out
+    _check_out(out, shape)
+    if not state.frames.size:
+        _refuse(clips, state)
+    run = entry_of_address(single_character if clips.rotations.dtype == _FLOAT32 else single_character_int16)
+    call = single_call(clips, state, out)
+    known = (clips, out, run, call.ctypes.data, call)
+    if given is not None:
+        state.last[0] = known
+    return known
+
+
+def single_call(clips: CompiledClips, state: Mix, out: np.ndarray) -> np.ndarray:
+    """What `single_character` takes the address of."""
+    addresses = (a.ctypes.data for a in (clips.handles, state.frames, state.shares, out))
+    return np.array([*addresses, state.frames.shape[1]], np.int64)
 
 
 def _check_out(out: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -148,7 +186,7 @@ def _length_factor(w, x, y, z, linear, square):
     Neighbouring frames 30 degrees apart shorten a quaternion to 0.991; the error is below 2e-6 even there. ``linear``
     and ``square`` hold the scale that integers still have.
     """
-    n = w * w + x * x + y * y + z * z
+    n = quat_dot(w, x, y, z, w, x, y, z)
     return 1.875 + n * (square * n - linear)
 
 
@@ -163,9 +201,9 @@ def _sample_rotations(keys, padded, frames, shares, first, count, j, linear, squ
         a, b = np.intp(frames[k]) * 4 * padded + j, np.intp(frames[k + 1]) * 4 * padded + j
         w, x, y, z = _between(keys, a, b, padded, splat(shares, k))
         r = splat(shares, k + 1) * _length_factor(w, x, y, z, linear, square)
-        r = flip_sign(r, w * sw + x * sx + y * sy + z * sz)
+        r = flip_sign(r, quat_dot(w, x, y, z, sw, sx, sy, sz))
         sw, sx, sy, sz = sw + w * r, sx + x * r, sy + y * r, sz + z * r
-    r = rsqrt(sw * sw + sx * sx + sy * sy + sz * sz)
+    r = rsqrt(quat_dot(sw, sx, sy, sz, sw, sx, sy, sz))
     return sw * r, sx * r, sy * r, sz * r
 
 
@@ -292,12 +330,25 @@ def _animate_blocks(rotations, scale, handles, frames, shares, out):
 # --- one character: joints in the lanes, a depth at a time ------------------------------------------------------------------
 
 
+@short_kernel
+def single_character(call):
+    """The whole chain for the first character of float32 clips. False if a frame does not exist."""
+    handles = int64_at(int64_at(call)[0])
+    return _single(float32_at(handles[ROTATIONS]), 1.0, handles, int64_at(call))
+
+
+@short_kernel
+def single_character_int16(call):
+    """As `single_character`, of int16 clips."""
+    handles = int64_at(int64_at(call)[0])
+    return _single(int16_at(handles[ROTATIONS]), INT16_SCALE, handles, int64_at(call))
+
+
 @kernel
-def single_character(rotations, scale, handles, frames, shares, out):
-    """The whole chain for the first character. False if a frame does not exist, or the character."""
+def _single(rotations, scale, handles, call):
     joints, padded, moving = handles[JOINTS], handles[PADDED], handles[MOVING]
-    before, parts, models = pointer(frames), pointer(shares), pointer(out)
-    if frames.shape[0] == 0 or _outside(before, 2 * frames.shape[1], handles[FRAMES]):
+    before, parts, models, count = int32_at(call[1]), float32_at(call[2]), float32_at(call[3]), call[4]
+    if _outside(before, 2 * count, handles[FRAMES]):
         return False
     still, places, order = float32_at(handles[REST]), int64_at(handles[MOVING_AT]), int64_at(handles[ORDER])
     waves, wave_parents = int64_at(handles[WAVE_TABLE]), int32_at(handles[WAVE_PARENTS])
@@ -312,8 +363,8 @@ def single_character(rotations, scale, handles, frames, shares, out):
             store3(pose, 4 * stride + j, stride, x, y, z)
     linear, square = _series(scale)
     _sample_pose(
-        pointer(rotations), float32_at(handles[TRANSLATIONS]), places, padded, moving, linear, square, before, parts, 0,
-        frames.shape[1], pose, 0, stride,
+        rotations, float32_at(handles[TRANSLATIONS]), places, padded, moving, linear, square, before, parts, 0, count,
+        pose, 0, stride,
     )  # fmt: skip
     # The wave before stays in registers: reading back what was just written, at another place, would wait for it.
     lw, lx, ly, lz = load4(pose, 0, stride)
@@ -344,9 +395,9 @@ def single_character(rotations, scale, handles, frames, shares, out):
         store4(pose, rows + 4 * WIDTH, WIDTH, d, e, f, ty)
         store4(pose, rows + 8 * WIDTH, WIDTH, g, h, i, tz)
         store4(pose, rows + 12 * WIDTH, WIDTH, zero, zero, zero, one)
-        for entry in range(0, 16, WIDTH):
-            transpose(pose, rows + entry * WIDTH, WIDTH, pose, tiles + entry, 16)
+        for first in range(0, 16, WIDTH):
+            transpose(pose, rows + first * WIDTH, WIDTH, pose, tiles + first, 16)
         for k in range(j, min(j + WIDTH, joints)):
-            for entry in range(0, 16, WIDTH):
-                store(models, order[k] * 16 + entry, load(pose, tiles + (k - j) * 16 + entry))
+            for first in range(0, 16, WIDTH):
+                store(models, order[k] * 16 + first, load(pose, tiles + (k - j) * 16 + first))
     return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, cast
@@ -22,6 +22,20 @@ _FINEST = 16  # knots of one sample, at most
 _STRAIGHT_M = 5e-5  # how far the straight way between two knots may be from the clip itself
 
 
+@dataclass(slots=True, eq=False)
+class _Call:
+    """A kernel that takes one address, and what is there. It need not look again at arrays that come again."""
+
+    function: Any
+    about: Array  # numbers and addresses, see `kernels.crowd.CALL`
+    address: int
+    models: Array
+    which: Array = field(default_factory=lambda: np.zeros(0))
+    times_s: Array = field(default_factory=lambda: np.zeros(0))
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+    run: Callable[[int], int] = lambda address: 0  # the function without its dispatcher, as soon as it is needed
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
     """Characters of one skeleton that play compiled clips; made by `prepare`, which is where all its memory comes from.
@@ -39,7 +53,8 @@ class Crowd:
     handles: Array = field(repr=False)
     parts: dict[str, Array] = field(repr=False)  # what the handles point to
     kernel: ModuleType = field(repr=False)
-    checked: list[Any] = field(repr=False, default_factory=lambda: [None, None, None])  # by `animate_one`
+    all_call: _Call = field(repr=False)
+    one_call: _Call = field(repr=False)
 
     @property
     def decoded_count(self) -> int:
@@ -97,8 +112,11 @@ def prepare(
         row[:] = (*addresses, total, len(knots), fineness, wraps)
         times.append(knots)
         total += len(knots)
-    # One block of characters must find all its knots in the pool at once.
-    slots = min(max(pool_bytes // (4 * knot_size), 2 * clips_each * WIDTH + 1), max(total, 1))
+    # One block of characters must find all its knots in the pool at once, or in the slots after it.
+    slots, spare = total, 0
+    if 4 * knot_size * total > pool_bytes:
+        spare = 2 * clips_each * WIDTH
+        slots = min(max(pool_bytes // (4 * knot_size) - spare, 2 * clips_each * WIDTH + 1), total)
     parts = {
         "clip_table": table.ravel(),
         "timing": np.array([[c.start_s, c.rate_hz] for c in clips], np.float64).ravel(),
@@ -106,7 +124,7 @@ def prepare(
         "slot_of": np.full(total, -1, np.int64),
         "knot_of": np.full(slots, -1, np.int64),
         "stamps": np.full(slots, -1, np.int64),
-        "pool": aligned(slots * knot_size),
+        "pool": aligned((slots + spare) * knot_size),
         "moved_at": moved_at,
         "scaled_at": scaled_at,
         "rest": rest,
@@ -116,16 +134,17 @@ def prepare(
         "poses": aligned(2 * kernel.ROWS * WIDTH * WIDTH),
         "sums": aligned(max(c.decoder.room for c in clips)),
         "room": aligned(max(c.decoder.stride for c in clips)),
-        "local": aligned(16 * (WIDTH + padded)),
+        "local": aligned(12 * padded),
         "model": aligned(16 * joints),
     }
-    parts["local"][15 * WIDTH : 16 * WIDTH] = 1.0  # the last row of every matrix
     numbers = (joints, padded, len(clips), moved, scaled, knot_size, slots, 0, 0, 0)
-    handles = np.array([*numbers, *(part.ctypes.data for part in parts.values())], np.int64)
+    handles = np.array([*numbers, *(part.ctypes.data for part in parts.values()), spare], np.int64)
     blocks = -(-count // WIDTH)
     models = aligned(blocks * joints * 12 * WIDTH).reshape(blocks, joints, 12, WIDTH)
     model = parts["model"].reshape(joints, 4, 4)
-    return Crowd(clips, skeleton, count, clips_each, slots * knot_size * 4, models, model, handles, parts, kernel)
+    used = 4 * knot_size * (slots + spare)
+    calls = (_call(kernel.animate, handles, models, count), _call(kernel.animate_one, handles, model, 1))
+    return Crowd(clips, skeleton, count, clips_each, used, models, model, handles, parts, kernel, *calls)
 
 
 def animate(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -> Array:
@@ -138,42 +157,33 @@ def animate(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -
     and float64 in C order.
 
     Blending is that of `keypose.evaluate.blend`: rotations are summed on one side and normalised, the rest is a weighted
-    mean; where no weight is above zero the first clip is played.
+    mean; where no weight is above zero the first clip is played. Arrays that are handed in again, with new numbers, need
+    no second look at their types.
 
     Raises:
         ShapeError: where shapes disagree, a clip does not exist, a time is not finite or a weight is not >= 0.
     """
-    which, times, shares = clip_indices, times_s, weights
-    if not (_fits(which, _INT64, 2) and _fits(times, _FLOAT64, 2) and _fits(shares, _FLOAT64, 2)) or not (
-        which.shape == times.shape == shares.shape
-    ):
-        which, times, shares = _converted(crowd.count, clip_indices, times_s, weights)
-    shape = which.shape
-    if shape[0] != crowd.count or not 1 <= shape[1] <= crowd.clips_each:
-        raise ShapeError(
-            f"clip_indices, times_s, weights: expected ({crowd.count}, K) with K from 1 to {crowd.clips_each}, got {shape}"
-        )
-    wrong = crowd.kernel.animate(crowd.handles, which, times, shares, crowd.models)
+    call = crowd.all_call
+    if clip_indices is not call.which or times_s is not call.times_s or weights is not call.weights:
+        _aim(crowd, call, 2, clip_indices, times_s, weights)
+    wrong = call.run(call.address)
     if wrong:
-        _refuse(crowd, wrong, which, times, shares)
-    return crowd.models
+        _refuse(crowd, call, wrong)
+    return call.models
 
 
 def animate_one(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Array) -> Array:
     """As `animate`, for one character alone and quicker for that: arrays (K,).
 
-    Returns ``crowd.model``, model_from_joint (J, 4, 4) float32; the next call writes there again. Arrays that are handed in
-    again, with new numbers, need no second look at their types. Raises as `animate`.
+    Returns ``crowd.model``, model_from_joint (J, 4, 4) float32; the next call writes there again. Raises as `animate`.
     """
-    known = crowd.checked
-    if clip_indices is known[0] and times_s is known[1] and weights is known[2]:
-        which, times, shares = known
-    else:
-        which, times, shares = _checked_one(crowd, clip_indices, times_s, weights)
-    wrong = crowd.kernel.animate_one(crowd.handles, which, times, shares)
+    call = crowd.one_call
+    if clip_indices is not call.which or times_s is not call.times_s or weights is not call.weights:
+        _aim(crowd, call, 1, clip_indices, times_s, weights)
+    wrong = call.run(call.address)
     if wrong:
-        _refuse(crowd, wrong, which[None], times[None], shares[None])
-    return crowd.model
+        _refuse(crowd, call, wrong)
+    return call.models
 
 
 def model_matrices(crowd: Crowd, models: Array) -> Array:
@@ -195,23 +205,36 @@ def forget(crowd: Crowd) -> None:
 # --- checks ---------------------------------------------------------------------------------------------------------------
 
 
+def _call(function: Any, handles: Array, models: Array, characters: int) -> _Call:
+    from keypose.kernels.crowd import CALL
+
+    about = np.zeros(CALL, np.int64)
+    about[:6] = handles.ctypes.data, 0, 0, 0, models.ctypes.data, characters
+    return _Call(function, about, about.ctypes.data, models)
+
+
 def _fits(array: Any, dtype: Any, axes: int) -> bool:
     return type(array) is np.ndarray and array.dtype is dtype and array.ndim == axes and array.flags.carray
 
 
-def _checked_one(crowd: Crowd, clip_indices: Any, times_s: Any, weights: Any) -> tuple[Array, Array, Array]:
-    which, times, shares = clip_indices, times_s, weights
-    fit = _fits(which, _INT64, 1) and _fits(times, _FLOAT64, 1) and _fits(shares, _FLOAT64, 1)
-    fit = fit and len(which) == len(times) == len(shares)
-    if not fit:
-        which, times, shares = (a[0] for a in _converted(1, clip_indices, times_s, weights))
-    if not 1 <= len(which) <= crowd.clips_each:
+def _aim(crowd: Crowd, call: _Call, axes: int, which: Any, times: Any, weights: Any) -> None:
+    """Look at the arrays of a call, and convert what is of another type."""
+    from keypose.kernels.runtime import entry_of_address
+
+    count = crowd.count if axes == 2 else 1
+    fit = _fits(which, _INT64, axes) and _fits(times, _FLOAT64, axes) and _fits(weights, _FLOAT64, axes)
+    if not (fit and which.shape == times.shape == weights.shape):
+        which, times, weights = _converted(count, which, times, weights)
+    many = which.shape[-1]
+    if which.size != count * many or not 1 <= many <= crowd.clips_each:
+        rows = f"({count}, K)" if axes == 2 else "(K,)"
         raise ShapeError(
-            f"clip_indices, times_s, weights: expected (K,) with K from 1 to {crowd.clips_each}, got ({len(which)},)"
+            f"clip_indices, times_s, weights: expected {rows} with K from 1 to {crowd.clips_each}, got {which.shape}"
         )
-    if fit:
-        crowd.checked[:] = which, times, shares
-    return which, times, shares
+    crowd.kernel.aim(call.about, which, times, weights)
+    call.about[6] = many
+    call.which, call.times_s, call.weights = which, times, weights
+    call.run = entry_of_address(call.function)
 
 
 def _converted(count: int, which: Any, times: Any, weights: Any) -> tuple[Array, Array, Array]:
@@ -231,8 +254,9 @@ def _converted(count: int, which: Any, times: Any, weights: Any) -> tuple[Array,
     )
 
 
-def _refuse(crowd: Crowd, wrong: int, which: Array, times: Array, weights: Array) -> None:
+def _refuse(crowd: Crowd, call: _Call, wrong: int) -> None:
     kernel = crowd.kernel
+    which, times, weights = (np.atleast_2d(a) for a in (call.which, call.times_s, call.weights))
     if wrong == kernel.BAD_CLIP:
         bad = (which < 0) | (which >= len(crowd.clips))
         name, values, expected = "clip_indices", which, f"0 to {len(crowd.clips) - 1}"

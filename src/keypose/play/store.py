@@ -10,6 +10,7 @@ import numpy as np
 
 from keypose.arrays import Array
 from keypose.errors import FormatError
+from keypose.math import quat
 
 FINEST = 5  # a slot is halved so often at most
 FRAMES, MAX_BITS, MARGIN, ENTRY, ROWS, HEADER = 16, 24, 64, 128, 10, 16
@@ -217,7 +218,10 @@ def decoder(packed: Packed) -> Decoder:
     around[8, :joints][packed.kinds == FOUR] = 0.0
 
     slots, cells = _cells(slot_levels(packed.info) if tracks else [])
-    masks = _masks(packed, padded, morph_room).ravel()
+    masks = _masks(packed, padded, morph_room)
+    resting = ~masks[: 4 * padded // FRAMES, 0].reshape(4, -1).any(axis=0).repeat(FRAMES)
+    base[:4, resting] = quat.multiply(around[:4].T, around[4:8].T).T[:, resting]
+    masks = masks.ravel()
     slots_at = HEADER + len(masks)
     cells_at = slots_at + len(slots)
     offsets_at = cells_at + len(cells)
@@ -256,18 +260,22 @@ def profile_bytes(book: Array) -> Array:
 
 
 def _book_table(book: Array) -> Array:
-    """Per profile the bytes that the decoder reads: where the coefficients are, shifts, which are stored, size.
+    """Per profile the bytes that the decoder reads: where the coefficients are, shifts, where each four start, size.
 
     The last one stores nothing.
     """
+    from keypose.kernels.decode import WINDOWED
+
     widths = np.concatenate([book.astype(np.int64), np.zeros((1, FRAMES), np.int64)])
     table = np.zeros((len(widths), ENTRY), np.uint8)
     starts = np.cumsum(widths, axis=1) - widths
-    table[:, :64] = (np.where(widths > 0, starts, 0)[:, :, None] // 8 + np.arange(4)).reshape(len(widths), 64)
+    windows = starts[:, ::4] // 8
+    where = starts // 8 - (np.repeat(windows, 4, axis=1) if WINDOWED else 0)
+    table[:, :64] = (where[:, :, None] + np.arange(4)).reshape(len(widths), 64)
     table[:, 64:80] = np.where(widths > 0, 32 - starts % 8 - widths, 0)
     table[:, 80:96] = np.where(widths > 0, 31 - widths, 0)
-    table[:, 96:98] = np.packbits(widths > 0, axis=1, bitorder="little")
-    table[:, 98] = (widths.sum(axis=1) + 7) // 8
+    table[:, 96:100] = windows
+    table[:, 100] = (widths.sum(axis=1) + 7) // 8
     return table
 
 
