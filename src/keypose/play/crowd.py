@@ -188,9 +188,13 @@ def animate_one(crowd: Crowd, clip_indices: Array, times_s: Array, weights: Arra
 
 def model_matrices(crowd: Crowd, models: Array) -> Array:
     """What `animate` returned as model_from_joint, (count, J, 4, 4) float32, a copy."""
-    joints = crowd.skeleton.joint_count
-    rows = np.moveaxis(models, -1, 1).reshape(-1, joints, 3, 4)[: crowd.count]
-    out = np.zeros((crowd.count, joints, 4, 4), np.float32)
+    return plain_matrices(models, crowd.count)
+
+
+def plain_matrices(models: Array, count: int) -> Array:
+    """Matrices (count, J, 4, 4) float32 of rows with characters in the lanes, (blocks, J, 12, W)."""
+    rows = np.moveaxis(models, -1, 1).reshape(-1, models.shape[1], 3, 4)[:count]
+    out = np.zeros((count, models.shape[1], 4, 4), np.float32)
     out[:, :, :3] = rows
     out[:, :, 3, 3] = 1.0
     return out

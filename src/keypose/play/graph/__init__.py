@@ -4,12 +4,22 @@
 >>> definition = graph.Graph({"still": graph.RestNode()}, output="still")
 
 A definition (`Graph`) is plain data, in Python or JSON. `build` meets it with a skeleton and clips, `init` gives the first
-state, and `step` moves it on. This is the reference evaluator: exact, readable, one character at a time.
+state, and `step` moves it on. This is the reference evaluator: exact, readable, one character at a time; `prepare_crowd` and
+`animate_crowd` do the same for thousands at once.
 """
 
 from keypose.play.graph.assets import find_cycle
 from keypose.play.graph.build import Program, build
 from keypose.play.graph.checking import GraphError, check, problems
+from keypose.play.graph.crowds import (
+    GraphCrowd,
+    animate_crowd,
+    crowd_changes,
+    crowd_events,
+    crowd_matrices,
+    prepare_crowd,
+    set_parameter,
+)
 from keypose.play.graph.definition import (
     Additive,
     Blend,
@@ -56,6 +66,7 @@ __all__ = [
     "Contact",
     "Fired",
     "Graph",
+    "GraphCrowd",
     "GraphError",
     "Input",
     "Inputs",
@@ -78,19 +89,25 @@ __all__ = [
     "Trace",
     "Transition",
     "TwoBone",
+    "animate_crowd",
     "assemble",
     "build",
     "check",
+    "crowd_changes",
+    "crowd_events",
+    "crowd_matrices",
     "find_cycle",
     "from_json",
     "in_place",
     "init",
     "inputs_from_json",
     "load",
+    "prepare_crowd",
     "problems",
     "run",
     "run_program",
     "save",
+    "set_parameter",
     "step",
     "to_json",
 ]

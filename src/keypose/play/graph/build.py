@@ -21,7 +21,7 @@ from keypose.play.graph.control import RtNode, Value
 from keypose.play.graph.machine import RtCondition, RtMachine, RtTransition
 from keypose.play.graph.poses import Buffer, Layout, Resources, Solver, clip_rows, sample
 from keypose.play.graph.program import Look, PlantFeet, Reach
-from keypose.play.graph.solvers import Limb, LookSolver, PlantSolver, ReachSolver, descends
+from keypose.play.graph.solvers import Limb, LookSolver, PlantSolver, ReachSolver, descends, make_limb
 from keypose.play.graph.spaces import bands, line, plane
 from keypose.play.graph.synchrony import CLOSEST_S, SyncTable, period, table_for
 
@@ -447,7 +447,7 @@ def _limb(b: _Builder, name: str, field: str, chain: Sequence[int], softness_m: 
     if not descends(b.skeleton, chain):
         named = ", ".join(f"'{b.skeleton.names[j]}'" for j in chain)
         raise GraphError(name, field, f"expected three joints, each below the one before, got {named}")
-    return Limb(chain[0], chain[1], chain[2], softness_m)
+    return make_limb(b.skeleton, chain, softness_m)
 
 
 def _plant(b: _Builder, name: str, node: d.Plant) -> Solver:

@@ -188,7 +188,11 @@ class RtClip(RtNode):
 
     def seconds(self, m: Moment, interval: int) -> float:
         """At its own speed, forwards or backwards."""
-        return 0.0 if self.table is None else self.table.seconds(interval) / max(abs(self.speed.of(m)), SLOWEST)
+        return (
+            0.0
+            if self.table is None
+            else self.table.seconds(interval) / min(max(abs(self.speed.of(m)), SLOWEST), FASTEST)
+        )
 
     def drive(self, m: Moment, at: Position, dt_s: float, weight: float) -> Ground:
         """Play to a place among the markers."""

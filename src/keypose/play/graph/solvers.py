@@ -19,12 +19,30 @@ from keypose.play.graph.poses import Buffer, Layout
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limb:
-    """Upper, middle and end joint of a limb, and how far before full reach it slows down."""
+    """Upper, middle and end joint of a limb, how far before full reach it slows down, and where it bends at rest.
+
+    ``bend`` is a direction in the upper joint's axes: a limb that is straight bends there.
+    """
 
     upper: int
     middle: int
     end: int
     softness_m: float
+    bend: tuple[float, float, float]
+
+
+def make_limb(skeleton: Skeleton, chain: Sequence[int], softness_m: float) -> Limb:
+    """The limb of three joints; one that is straight at rest bends forwards."""
+    turned, places = world_rotations_positions(skeleton, skeleton.rest)
+    start, middle, end = (np.asarray(places[j], np.float64) for j in chain)
+    line = end - start
+    along = line / max(float(np.linalg.norm(line)), 1e-30)
+    side = (middle - start) - along * float((middle - start) @ along)
+    for other in ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)):
+        if float(np.linalg.norm(side)) <= 1e-3 * float(np.linalg.norm(line)):
+            side = np.array(other) - along * float(np.array(other) @ along)
+    local = quat.rotate(quat.conjugate(np.asarray(turned[chain[0]], np.float64)), side / np.linalg.norm(side))
+    return Limb(chain[0], chain[1], chain[2], softness_m, (float(local[0]), float(local[1]), float(local[2])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +145,7 @@ class PlantSolver:
 
 
 REACH = 0.9995  # of a limb's length: a straight knee has no side to bend to
+BIAS = 1e-5  # of a limb's length, towards where it bends at rest: rounding must not choose for a straight one
 
 
 def _world(skeleton: Skeleton, layout: Layout, buffer: Buffer) -> tuple[Floats, Floats]:
@@ -147,11 +166,12 @@ def _solved(
     # The pole is where the middle joint is now, off the line from start to end.
     line = end - start
     pole = upper - line * (float(upper @ line) / max(float(line @ line), 1e-30))
+    pole = pole + BIAS * sum(lengths) * quat.rotate(turned[limb.upper], np.array(limb.bend))
     # Soft reach must not move a limb that is already there: it starts from the limb's present stretch.
     stretch = float(np.linalg.norm(line))
     softness = min(limb.softness_m, max(sum(lengths) - stretch, 0.0))
     result = solve_limb(start, goal, pole, upper_m=lengths[0], lower_m=lengths[1], softness_m=softness)
-    normal = np.cross(line, upper) if np.any(pole) else result.normal
+    normal = np.cross(line, pole)
     if not np.any(normal):
         normal = result.normal
     if float(normal @ result.normal) < 0:

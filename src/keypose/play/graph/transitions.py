@@ -13,20 +13,21 @@ def quintic(x0: Any, v0: Any, elapsed_s: float, duration_s: float) -> Any:
     """What is left of an offset after a time: a quintic from (x0, v0) to rest at 0 with no acceleration and no jerk.
 
     Shapes and units: x0, v0 of any shape, per second. An offset that already runs towards zero fast gets less time
-    (-5 x0/v0, at least a third), so that it does not shoot far through zero; its first acceleration is never against
-    the way to zero.
+    (5 times what it would take, at least a third of the duration), so that it does not shoot far through zero; its first
+    acceleration is never against the way to zero. An offset that is nearly zero is treated as one that runs away from it, with
+    a smooth passage between the two cases: which side of zero it is on must not matter.
 
     Source: D. Bollo, "Inertialization: High-Performance Animation Transitions in Gears of War" (GDC 2018), with
-    two changes: it works on each component of a vector instead of on its length, and an offset that runs away from zero
-    keeps its speed instead of losing it, because the speed across or outward would jump otherwise.
+    three changes: it works on each component of a vector instead of on its length; an offset that runs away from zero
+    keeps its speed instead of losing it, because the speed across or outward would jump otherwise; and it is continuous at 0.
     """
     x0, v0 = np.asarray(x0, np.float64), np.asarray(v0, np.float64)
     side = np.where(x0 < 0, -1.0, 1.0)
     x, v = side * x0, side * v0
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        wanted = np.where(v < 0, -5.0 * x / v, duration_s)
-    t1 = np.clip(wanted, duration_s / 3, duration_s)
-    a0 = np.maximum((-8.0 * v * t1 - 20.0 * x) / t1**2, 0.0)
+        reached = np.where(v < 0, -x / (v * duration_s), 0.0)  # share of the duration in which it would be at zero
+    t1 = duration_s * np.maximum(np.minimum(5.0 * reached, 1.0), 1.0 - 10.0 * reached)
+    a0 = np.minimum(15.0 * reached, 1.0) * np.maximum((-8.0 * v * t1 - 20.0 * x) / t1**2, 0.0)
     # In units of the duration: the powers of a short one would vanish.
     u = np.minimum(elapsed_s / t1, 1.0)
     a, w = a0 * t1 * t1, v * t1
