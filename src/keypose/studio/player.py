@@ -80,7 +80,8 @@ class Player:
         """Set parameters, move on, and say what happened; without time, only the pose is computed again."""
         recording = self.recording
         if recording is not None and values:
-            recording.inputs.append(g.Inputs(recording.duration_s, dict(values)))
+            # they act in the step that begins now, not in one that ends now
+            recording.inputs.append(g.Inputs(recording.duration_s + 1e-6, dict(values)))
         self._state, output = g.step(self._state, values, dt_s=dt_s, trace=True)
         if recording is not None:
             recording.duration_s += dt_s
