@@ -93,3 +93,28 @@ def test_every_row_of_the_kernels_is_there_and_ahead_of_numpy(tmp_path):
     assert {(r.name, r.unit) for r in results} == STUDY_ROWS
     assert all(r.value and r.value > 0 for r in results)
     assert all(r.ratio is not None and r.ratio > 2 for r in results if not r.name.startswith("limit"))
+
+
+@pytest.mark.slow
+def test_the_run_time_measures_the_same_rows_on_compressed_clips(tmp_path):
+    results = bench.run("runtime", tmp_path / "runtime.json", rounds=2)
+    rows = [(r.name, r.unit) for r in results]
+    assert len(set(rows)) == len(rows) and {r.suite for r in results} == {"runtime"}
+    assert {row for row in STUDY_ROWS if row[0].startswith(("chain", "limit"))} <= set(rows)
+    assert {unit for name, unit in rows if name.startswith("compression, ")} == {":1"}
+    assert all(r.value and r.value > 0 for r in results)
+
+
+def test_rows_of_two_suites_may_have_one_name(tmp_path, capsys):
+    suite = Suite()
+    for name in ("one", "two"):
+        suite.name = name
+        suite.case("the same", "ms", 1, busy(0.0001))
+    suite.known("a size", ":1", 20.0, 10.0, "other")
+    results = suite.run(1, tmp_path / "out.json")
+    assert [(r.name, r.suite, r.ratio) for r in results] == [
+        ("the same", "one", None), ("the same", "two", None), ("a size", "two", 2.0),
+    ]  # fmt: skip
+    assert [r["suite"] for r in json.loads((tmp_path / "out.json").read_text())["results"]] == ["one", "two", "two"]
+    lines = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert lines[1] == "one" and lines[3] == "two"

@@ -3,7 +3,8 @@
 run("kernels")   every kernel against the same work in plain NumPy, and what the machine can do at best
 run("bvh")       reading and writing BVH files against pybvh and PyMotion
 run("fk")        forward kinematics of a clip against PyMotion
-run("runtime")   compiled clips: their size, their error and the time to decode one pose
+run("runtime")   compiled clips: their size and error, the time to decode one pose, and crowds that play them; the same
+                 rows as of "kernels" where it is the same work, here on compressed clips with scale
 """
 
 from __future__ import annotations
@@ -33,16 +34,25 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
     if name in (None, "kernels"):
         from keypose.bench import kernels
 
+        suite.name = "kernels"
         kernels.add(suite)
+    if name in (None, "runtime"):
+        from keypose.bench import runtime
+
+        suite.name = "runtime"
+        runtime.add(suite)
     if name in (None, "bvh", "fk"):
         from keypose.bench import peers
 
         if name != "fk":
+            suite.name = "bvh"
             peers.add_bvh(suite)
         if name != "bvh":
+            suite.name = "fk"
             peers.add_fk(suite)
-    if name in (None, "runtime"):
-        from keypose.bench import runtime
+    if name in (None, "kernels", "runtime"):
+        from keypose.bench import limits
 
-        runtime.add(suite)
+        suite.name = name or "limits"
+        limits.add(suite)
     return suite.run(rounds, None if json_path is None else Path(json_path))

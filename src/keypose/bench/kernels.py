@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.bench import data, limits, plain
+from keypose.bench import data, plain
 from keypose.bench.suite import Suite
 from keypose.kernels import fk, sample, skin, skincrowd, text
 from keypose.kernels.runtime import WIDTH, aligned, aligned_copy, kernel
@@ -21,7 +21,6 @@ def add(suite: Suite) -> None:
     _characters(suite)
     _text(suite)
     _whole_clips(suite)
-    limits.add(suite)
 
 
 _single = sample.single_character

@@ -9,11 +9,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from keypose.errors import KeyposeError
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 # Seconds of this thread where the clock is fine enough: what other programs do meanwhile does not count.
 _FINE = time.get_clock_info("thread_time").resolution < 1e-6
@@ -23,8 +26,8 @@ _ROUND_S = 3e-3  # a case is repeated until one round takes about this long
 _REFERENCE_ROUNDS = 3
 
 # seconds per item -> what is shown
-_PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "ns/vertex": 1e9, "ms": 1e3}
-_PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0}
+_PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "us/character": 1e6, "ns/vertex": 1e9, "ms": 1e3}
+_PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0, "characters": 1 / 60}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,7 @@ class Result:
     ratio: float | None
     against: str = ""
     note: str = ""
+    suite: str = ""
 
 
 @dataclass(slots=True)
@@ -53,6 +57,7 @@ class Case:
     reference: Callable[[], Any] | None = None
     reference_count: float = 0.0
     note: str = ""
+    suite: str = ""
     times: int = 1
     seconds: list[float] = field(default_factory=list[float])
     reference_seconds: list[float] = field(default_factory=list[float])
@@ -71,8 +76,9 @@ class Suite:
     """Checks and cases, collected first and run together."""
 
     def __init__(self) -> None:
+        self.name = ""  # of the suite that the next cases belong to: two may measure the same on different data
         self.cases: list[Case] = []
-        self.missing: list[Result] = []
+        self.found: list[Result] = []
 
     def check(self, name: str, error: float, limit: float) -> None:
         """Refuse to time what computes something else; raises `BenchmarkError`."""
@@ -92,16 +98,25 @@ class Suite:
     ) -> None:
         """Add a case, with the same work done by something else (on ``reference_count`` items)."""
         counted = count if reference_count is None else reference_count
-        self.cases.append(Case(name, unit, count, call, against if reference else "", reference, counted, note))
+        self.cases.append(
+            Case(name, unit, count, call, against if reference else "", reference, counted, note, self.name)
+        )
 
     def absent(self, name: str, unit: str, against: str) -> None:
         """A row for a library that is not installed."""
-        self.missing.append(Result(name, unit, None, None, None, None, against, "not installed"))
+        self.found.append(Result(name, unit, None, None, None, None, against, "not installed", self.name))
+
+    def known(
+        self, name: str, unit: str, value: float, reference: float | None = None, against: str = "", note: str = ""
+    ) -> None:
+        """A row that is not timed, of which more is better."""
+        ratio = None if reference is None else value / reference
+        self.found.append(Result(name, unit, value, value, reference, ratio, against, note, self.name))
 
     def run(self, rounds: int, json_path: Path | None = None) -> list[Result]:
         """Time all cases in turn; show the table; write the JSON."""
         self._measure(rounds)
-        results = [_result(case) for case in self.cases] + self.missing
+        results = [_result(case) for case in self.cases] + self.found
         _show(results)
         if json_path is not None:
             _write(json_path, results, rounds)
@@ -157,7 +172,7 @@ def _result(case: Case) -> Result:
     if case.reference_seconds:
         reference = case.shown(float(np.percentile(case.reference_seconds, 25)), case.reference_count)
         ratio = reference / value if case.unit in _PER_ITEM else value / reference
-    return Result(case.name, case.unit, value, median, reference, ratio, case.against, case.note)
+    return Result(case.name, case.unit, value, median, reference, ratio, case.against, case.note, case.suite)
 
 
 def _show(results: list[Result]) -> None:
@@ -171,12 +186,13 @@ def _show(results: list[Result]) -> None:
         table.add_column(title, justify="right")
     table.add_column("unit", no_wrap=True)
     table.add_column("against", no_wrap=True)
-    for r in results:
-        ratio = Text("" if r.ratio is None else f"{r.ratio:.3g}x")
-        if r.ratio is not None:
-            ratio.stylize("bold green" if r.ratio >= 1.05 else "yellow" if r.ratio >= 0.95 else "bold red")
-        numbers = ("" if n is None else _readable(n) for n in (r.value, r.median, r.reference))
-        table.add_row(r.name, *numbers, ratio, r.unit, Text(f"{r.against} {r.note}".strip(), style="dim"))
+    suites = list(dict.fromkeys(r.suite for r in results))
+    for suite in suites:
+        if len(suites) > 1:
+            table.add_row(Text(suite, style="bold"))
+        for r in results:
+            if r.suite == suite:
+                _add_row(table, r)
     where = host()
     console = Console()
     if not console.is_terminal:
@@ -188,6 +204,16 @@ def _show(results: list[Result]) -> None:
     )
 
 
+def _add_row(table: Table, r: Result) -> None:
+    from rich.text import Text
+
+    ratio = Text("" if r.ratio is None else f"{r.ratio:.3g}x")
+    if r.ratio is not None:
+        ratio.stylize("bold green" if r.ratio >= 1.05 else "yellow" if r.ratio >= 0.95 else "bold red")
+    numbers = ("" if n is None else _readable(n) for n in (r.value, r.median, r.reference))
+    table.add_row(r.name, *numbers, ratio, r.unit, Text(f"{r.against} {r.note}".strip(), style="dim"))
+
+
 def _readable(number: float) -> str:
     return f"{number / 1e6:.4g}M" if number >= 1e6 else f"{number:.4g}"
 
@@ -196,7 +222,7 @@ def _write(path: Path, results: list[Result], rounds: int) -> None:
     rows = [
         {
             "name": r.name, "unit": r.unit, "value": r.value, "median": r.median, "reference": r.reference,
-            "ratio": r.ratio, "against": r.against, "note": r.note,
+            "ratio": r.ratio, "against": r.against, "note": r.note, "suite": r.suite,
         }
         for r in results
     ]  # fmt: skip
