@@ -108,7 +108,7 @@ def test_the_run_time_measures_the_same_rows_on_compressed_clips(tmp_path):
 def test_rows_of_two_suites_may_have_one_name(tmp_path, capsys):
     suite = Suite()
     for name in ("one", "two"):
-        suite.name = name
+        suite.begin(name)
         suite.case("the same", "ms", 1, busy(0.0001))
     suite.known("a size", ":1", 20.0, 10.0, "other")
     results = suite.run(1, tmp_path / "out.json")

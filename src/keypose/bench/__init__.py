@@ -34,25 +34,25 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
     if name in (None, "kernels"):
         from keypose.bench import kernels
 
-        suite.name = "kernels"
+        suite.begin("kernels")
         kernels.add(suite)
     if name in (None, "runtime"):
         from keypose.bench import runtime
 
-        suite.name = "runtime"
+        suite.begin("runtime")
         runtime.add(suite)
     if name in (None, "bvh", "fk"):
         from keypose.bench import peers
 
         if name != "fk":
-            suite.name = "bvh"
+            suite.begin("bvh")
             peers.add_bvh(suite)
         if name != "bvh":
-            suite.name = "fk"
+            suite.begin("fk")
             peers.add_fk(suite)
     if name in (None, "kernels", "runtime"):
         from keypose.bench import limits
 
-        suite.name = name or "limits"
+        suite.begin(name or "limits")
         limits.add(suite)
     return suite.run(rounds, None if json_path is None else Path(json_path))

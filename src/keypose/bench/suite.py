@@ -7,7 +7,7 @@ import json
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,9 +76,14 @@ class Suite:
     """Checks and cases, collected first and run together."""
 
     def __init__(self) -> None:
-        self.name = ""  # of the suite that the next cases belong to: two may measure the same on different data
+        self.name = ""
         self.cases: list[Case] = []
-        self.found: list[Result] = []
+        self.missing: list[Result] = []  # from timing: what is measured otherwise or not at all
+
+    def begin(self, name: str) -> None:
+        """What is added from here on belongs to this suite: two may measure the same on different data."""
+        self.missing = [replace(r, suite=r.suite or self.name) for r in self.missing]
+        self.name = name
 
     def check(self, name: str, error: float, limit: float) -> None:
         """Refuse to time what computes something else; raises `BenchmarkError`."""
@@ -104,19 +109,20 @@ class Suite:
 
     def absent(self, name: str, unit: str, against: str) -> None:
         """A row for a library that is not installed."""
-        self.found.append(Result(name, unit, None, None, None, None, against, "not installed", self.name))
+        self.missing.append(Result(name, unit, None, None, None, None, against, "not installed", self.name))
 
     def known(
         self, name: str, unit: str, value: float, reference: float | None = None, against: str = "", note: str = ""
     ) -> None:
         """A row that is not timed, of which more is better."""
         ratio = None if reference is None else value / reference
-        self.found.append(Result(name, unit, value, value, reference, ratio, against, note, self.name))
+        self.missing.append(Result(name, unit, value, value, reference, ratio, against, note, self.name))
 
     def run(self, rounds: int, json_path: Path | None = None) -> list[Result]:
         """Time all cases in turn; show the table; write the JSON."""
         self._measure(rounds)
-        results = [_result(case) for case in self.cases] + self.found
+        self.begin("")
+        results = [_result(case) for case in self.cases] + self.missing
         _show(results)
         if json_path is not None:
             _write(json_path, results, rounds)
