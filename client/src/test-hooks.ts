@@ -1,6 +1,8 @@
 // What the tests ask the page: numbers instead of pixels. Nothing here changes what a user sees.
 
 import { Vector3 } from "three";
+import { crowd } from "./crowd/crowd.svelte";
+import { crowdHooks } from "./crowd/test-hooks";
 import { deformedVertices } from "./view/parts";
 import { play } from "./play/play.svelte";
 import { playHooks } from "./play/test-hooks";
@@ -83,9 +85,10 @@ export function installHooks(studio: Studio): void {
     },
     camera: () => ({ position: studio.view.orbit.camera.position.toArray(), target: studio.view.orbit.target.toArray() }),
     ...playHooks,
+    ...crowdHooks,
     stats: () => studio.view.stats(),
     resetStats: () => studio.view.resetStats(),
   };
-  Object.assign(window, { keypose: { test, studio, play } });
+  Object.assign(window, { keypose: { test, studio, play, crowd } });
 }
 

@@ -426,6 +426,114 @@ export interface PlayRecord {
   on: boolean;
 }
 
+/** A surface of the crowd's characters; its colour is each character's own. */
+export interface CrowdMaterial {
+  name: string;
+  roughness: number;
+  metallic: number;
+  emissive: number[];
+}
+
+/** One level of detail: one mesh with all parts. */
+export interface CrowdLevel {
+  positions: ArrayRef;
+  normals: ArrayRef;
+  triangles: ArrayRef;
+  joints: ArrayRef;
+  weights: ArrayRef;
+  materials: ArrayRef;
+  shades: ArrayRef;
+  palette: number;
+  joint_count: number;
+  above: number;
+  every: number;
+  error_mm: number;
+  motion_error_mm: number;
+}
+
+/** A crowd stands: everything about it that stays. ``colors``: (N, M, 3) uint8, sRGB, of each character's materials. */
+export interface CrowdReady {
+  type: "crowd_ready";
+  crowd: number;
+  graph: string;
+  count: number;
+  radius_m: number;
+  height_m: number;
+  unit_m: number;
+  behaviours: string[];
+  behaviour: string;
+  materials: CrowdMaterial[];
+  colors: ArrayRef;
+  levels: CrowdLevel[];
+}
+
+/** Characters of one level whose joints are new: ``who`` (K,) uint16, ``matrices`` (K, P, 12) uint16, to be read as int16. */
+export interface CrowdUpdate {
+  who: ArrayRef;
+  matrices: ArrayRef;
+}
+
+/** One step of a crowd. */
+export interface CrowdFrame {
+  type: "crowd_frame";
+  crowd: number;
+  number: number;
+  time_s: number;
+  dt_s: number;
+  roots: ArrayRef;
+  levels: ArrayRef;
+  updates: CrowdUpdate[];
+  steer_us: number;
+  animate_us: number;
+  pack_us: number;
+}
+
+/** The crowd cannot be shown, or has stopped. */
+export interface CrowdFailure {
+  type: "crowd_failure";
+  message: string;
+}
+
+export type CrowdMessage = CrowdReady | CrowdFrame | CrowdFailure;
+
+/** Show a crowd that plays this graph, instead of what this page showed before. */
+export interface CrowdOpen {
+  type: "crowd_open";
+  graph: string;
+  count: number;
+  behaviour: string;
+  seed: number;
+}
+
+/** Do something else. */
+export interface CrowdBehave {
+  type: "crowd_behave";
+  behaviour: string;
+}
+
+/** How time runs, and how many steps are made in a second. */
+export interface CrowdPace {
+  type: "crowd_pace";
+  paused: boolean;
+  speed: number;
+  rate_hz: number;
+}
+
+/** Where the camera is: the levels of detail depend on it. */
+export interface CrowdView {
+  type: "crowd_view";
+  eye: number[];
+  fov_deg: number;
+}
+
+/** Frames up to this number were drawn; without it no further steps are made. */
+export interface CrowdAcknowledge {
+  type: "crowd_acknowledge";
+  number: number;
+}
+
+export type CrowdRequest = CrowdOpen | CrowdBehave | CrowdPace | CrowdView | CrowdAcknowledge;
+
 export type ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake;
 
 /** A server message and its number; the browser acknowledges the number. */

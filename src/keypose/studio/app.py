@@ -4,6 +4,7 @@
 GET       ``/?token=…``              the page
 GET       ``/assets/…``              its scripts and styles (the same for everyone; no token)
 WS        ``/api/events?token=…``    messages, see `keypose.studio.messages`
+WS        ``/api/crowd?token=…``     a crowd, see `keypose.studio.crowd`
 GET       ``/api/scenes/{id}``       one scene as a binary container
 POST      ``/api/scenes``            dropped files as a binary container
 GET       ``/api/takes/{id}/{kind}`` a recording of the play page as a file: glb or bvh
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import messages
+from keypose.studio.crowd import crowd_events
 from keypose.studio.requests import parse_request
 from keypose.studio.session import Session
 
@@ -129,6 +131,7 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
         routes=[
             Route("/", page),
             WebSocketRoute("/api/events", lambda socket: _events(session, socket)),
+            WebSocketRoute("/api/crowd", lambda socket: crowd_events(session, socket)),
             Route("/api/scenes/{id}", scene),
             Route("/api/scenes", upload, methods=["POST"]),
             Route("/api/takes/{id}/{kind}", take),

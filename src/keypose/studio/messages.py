@@ -413,6 +413,151 @@ PlayRequest = (
 """What goes to the page's own player."""
 
 
+# ---- crowd: a socket of its own ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdMaterial:
+    """A surface of the crowd's characters; its colour is each character's own."""
+
+    name: str
+    roughness: float
+    metallic: float
+    emissive: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdLevel:
+    """One level of detail: one mesh with all parts.
+
+    Arrays: ``positions`` and ``normals`` (V, 3) float32; ``triangles`` (F, 3) uint32; ``joints`` (V, 4) uint8, places in
+    the level's palette; ``weights`` (V, 4) float32; ``materials`` (V,) uint8; ``shades`` (V, 3) float32, linear, times the
+    material's colour. ``above``: for characters taller than this share of the view. Errors are the largest, in mm.
+    """
+
+    positions: ArrayRef
+    normals: ArrayRef
+    triangles: ArrayRef
+    joints: ArrayRef
+    weights: ArrayRef
+    materials: ArrayRef
+    shades: ArrayRef
+    palette: int
+    joint_count: int
+    above: float
+    every: int
+    error_mm: float
+    motion_error_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdReady:
+    """A crowd stands: everything about it that stays. ``colors``: (N, M, 3) uint8, sRGB, of each character's materials."""
+
+    type: Literal["crowd_ready"]
+    crowd: int
+    graph: str
+    count: int
+    radius_m: float
+    height_m: float
+    unit_m: float
+    behaviours: list[str]
+    behaviour: str
+    materials: list[CrowdMaterial]
+    colors: ArrayRef
+    levels: list[CrowdLevel]
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdUpdate:
+    """Characters of one level whose joints are new: ``who`` (K,) uint16, ``matrices`` (K, P, 12) uint16, to be read as int16."""
+
+    who: ArrayRef
+    matrices: ArrayRef
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdFrame:
+    """One step of a crowd.
+
+    ``roots`` (N, 3) float32: x, z, yaw; ``levels`` (N,) uint8. ``updates`` level by level, empty ones too: skin matrices
+    seen from the root, 3x4 by rows, turns in units of 2^-14, places in units of ``unit_m``. Microseconds of the server:
+    for all characters.
+    """
+
+    type: Literal["crowd_frame"]
+    crowd: int
+    number: int
+    time_s: float
+    dt_s: float
+    roots: ArrayRef
+    levels: ArrayRef
+    updates: list[CrowdUpdate]
+    steer_us: float
+    animate_us: float
+    pack_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdFailure:
+    """The crowd cannot be shown, or has stopped."""
+
+    type: Literal["crowd_failure"]
+    message: str
+
+
+CrowdMessage = CrowdReady | CrowdFrame | CrowdFailure
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdOpen:
+    """Show a crowd that plays this graph, instead of what this page showed before."""
+
+    type: Literal["crowd_open"]
+    graph: str
+    count: int
+    behaviour: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdBehave:
+    """Do something else."""
+
+    type: Literal["crowd_behave"]
+    behaviour: str
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdPace:
+    """How time runs, and how many steps are made in a second."""
+
+    type: Literal["crowd_pace"]
+    paused: bool
+    speed: float
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdView:
+    """Where the camera is: the levels of detail depend on it."""
+
+    type: Literal["crowd_view"]
+    eye: list[float]
+    fov_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class CrowdAcknowledge:
+    """Frames up to this number were drawn; without it no further steps are made."""
+
+    type: Literal["crowd_acknowledge"]
+    number: int
+
+
+CrowdRequest = CrowdOpen | CrowdBehave | CrowdPace | CrowdView | CrowdAcknowledge
+
+
 # ---- all of them (the parts above stand alone; what a new part adds is named here) -----------------------------------
 
 

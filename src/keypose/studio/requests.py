@@ -8,30 +8,40 @@ import typing
 from functools import cache
 from typing import Any, Literal, get_args, get_origin
 
-from keypose.studio.messages import ClientMessage
+from keypose.studio.messages import ClientMessage, CrowdRequest
 
 
 def parse_request(text: str) -> ClientMessage | None:
     """The message of a text; None where it is no JSON, no known message, or has other fields or types than that."""
+    return _parsed(text, ClientMessage)
+
+
+def parse_crowd_request(text: str) -> CrowdRequest | None:
+    """The same for the crowd's socket."""
+    return _parsed(text, CrowdRequest)
+
+
+def _parsed(text: str, kinds: Any) -> Any:
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
         return None
     if not isinstance(data, dict) or not isinstance(data.get("type"), str):
         return None
-    if data["type"] not in _kinds():
+    known = _known(kinds)
+    if data["type"] not in known:
         return None
-    kind, hints = _kinds()[data["type"]]
+    kind, hints = known[data["type"]]
     if data.keys() != hints.keys() or not all(_fits(data[name], hint) for name, hint in hints.items()):
         return None
     return kind(**data)
 
 
 @cache
-def _kinds() -> dict[str, tuple[type[Any], dict[str, Any]]]:
+def _known(kinds: Any) -> dict[str, tuple[type[Any], dict[str, Any]]]:
     """``type`` of the message -> its dataclass, and the types of its fields."""
     found: dict[str, tuple[type[Any], dict[str, Any]]] = {}
-    for kind in get_args(ClientMessage):
+    for kind in get_args(kinds):
         hints = typing.get_type_hints(kind)
         found |= dict.fromkeys(get_args(hints["type"]), (kind, hints))
     return found

@@ -48,7 +48,7 @@ def generate() -> str:
             lines += ["", f"/** {(value.__doc__ or '').strip().splitlines()[0]} */", f"export interface {name} {{"]
             lines += [f"  {field}: {typescript_type(hint)};" for field, hint in hints.items()]
             lines += ["}"]
-        elif name in ("ServerMessage", "ClientMessage"):
+        elif name in ("ServerMessage", "ClientMessage", "CrowdMessage", "CrowdRequest"):
             lines += ["", f"export type {name} = {typescript_type(value)};"]
     return "\n".join(lines) + "\n"
 

@@ -1,0 +1,438 @@
+"""Crowds for the browser: many characters play one graph here; their matrices go to the page, which draws them.
+
+One page has one crowd, in a thread of its own. A step steers, animates, chooses levels of detail by where the page's camera
+is, and sends the roots of all characters and the joints of those that are due. The page acknowledges what it has drawn;
+one that draws nothing (a hidden tab) gets no frames, and no steps are made for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from keypose.arrays import Array, Floats
+from keypose.errors import KeyposeError, ShapeError, UnknownName
+from keypose.model import Character, Material
+from keypose.play import detail as lod
+from keypose.play import steering
+from keypose.play.graph import Program, crowds
+from keypose.play.levels import Level, build
+from keypose.studio import messages
+from keypose.studio.container import Body, pack
+from keypose.studio.requests import parse_crowd_request
+
+if TYPE_CHECKING:
+    from starlette.websockets import WebSocket
+
+    from keypose.studio.graphs import Stage
+    from keypose.studio.session import Session
+
+MOST_CHARACTERS = 4000
+WINDOW = 2
+"""Frames that may be on their way or waiting to be drawn."""
+
+_LONGEST_STEP_S = 0.1
+_ROOM_M2 = 7.5  # of ground for each character
+_NUMBERS = itertools.count(1)
+_levels: dict[int, tuple[Character, tuple[Level, ...]]] = {}
+_levels_lock = threading.Lock()
+
+
+def levels_of(character: Character) -> tuple[Level, ...]:
+    """Levels of detail of a character, built when they are first asked for."""
+    from keypose import samples
+    from keypose.samples import crowds as built_in
+
+    with _levels_lock:
+        found = _levels.get(id(character))
+        if found is None:
+            own = character is samples.load("human").character
+            found = _levels[id(character)] = character, built_in.levels() if own else build(character)
+        return found[1]
+
+
+@dataclass(slots=True)
+class View:
+    """Where the page looks from."""
+
+    eye: tuple[float, float, float] = (0.0, 6.0, 20.0)
+    fov_deg: float = 35.0
+
+
+class CrowdShow:
+    """A crowd and its steps as messages. It knows no clock and no socket."""
+
+    def __init__(self, stage: Stage, name: str, count: int, behaviour: str, seed: int) -> None:
+        program, character = stage.program, stage.character
+        if not 1 <= count <= MOST_CHARACTERS:
+            raise ShapeError(f"count: expected 1 to {MOST_CHARACTERS} characters, got {count}")
+        if behaviour not in steering.BEHAVIOURS:
+            raise UnknownName("behaviour", behaviour, steering.BEHAVIOURS)
+        _check_driven(program)
+        self.number = next(_NUMBERS)
+        self.count, self.name, self.character = count, name, character
+        self.radius_m = max(7.0, float(np.sqrt(count * _ROOM_M2 / np.pi)))
+        self.levels = levels_of(character)
+        heights = np.asarray(self.levels[-1].mesh.positions)[:, 1]
+        self.height_m = float(heights.max() - min(heights.min(), 0.0))
+        self.unit_m = 2.0 * max(self.height_m, 1e-3) / 32767
+        self.steering = steering.init(count, self.radius_m, behaviour, seed)
+        joints = character.skeleton.names
+        dropped = [_dropped(joints, level, character.skeleton.parents) for level in self.levels[1:]]
+        self.crowd = crowds.prepare_crowd(
+            program, count, roots=steering.place(count, self.radius_m, seed), levels=dropped
+        )
+        self.detail = lod.prepare(self.levels, count)
+        self.seed = seed
+        self.time_s, self._frames = 0.0, 0
+        self._steer_us = self._animate_us = 0.0
+
+    def ready(self) -> bytes:
+        """Everything about the crowd that stays as it is."""
+        body = Body()
+        materials = list(dict.fromkeys(part.material for part in self.character.parts))
+        number = {id(material): n for n, material in enumerate(materials)}
+        of_part = np.array([number[id(part.material)] for part in self.character.parts])
+        header = messages.CrowdReady(
+            type="crowd_ready",
+            crowd=self.number,
+            graph=self.name,
+            count=self.count,
+            radius_m=self.radius_m,
+            height_m=self.height_m,
+            unit_m=self.unit_m,
+            behaviours=list(steering.BEHAVIOURS),
+            behaviour=self.steering.behaviour,
+            materials=[
+                messages.CrowdMaterial(m.name, float(m.roughness), float(m.metallic), [float(c) for c in m.emissive])
+                for m in materials
+            ],
+            colors=body.add(np.rint(255 * _srgb(self._colors(materials))), "uint8"),
+            levels=[self._level(level, of_part, body) for level in self.levels],
+        )
+        return pack(header, body)
+
+    def _level(self, level: Level, of_part: Array, body: Body) -> messages.CrowdLevel:
+        shades = np.ones((level.mesh.vertex_count, 3), np.float32)
+        for n, part in enumerate(self.character.parts):
+            mine = level.parts == n
+            if part.mesh.colors is not None:
+                shades[mine] = part.mesh.colors[level.vertices[mine], :3]
+        motion = level.motion_error
+        return messages.CrowdLevel(
+            positions=body.add(level.mesh.positions, "float32"),
+            normals=body.add(level.mesh.normals, "float32"),
+            triangles=body.add(level.mesh.triangles, "uint32"),
+            joints=body.add(level.skin.joints, "uint8"),
+            weights=body.add(level.skin.weights, "float32"),
+            materials=body.add(of_part[level.parts], "uint8"),
+            shades=body.add(shades, "float32"),
+            palette=len(level.skin.palette),
+            joint_count=level.joint_count,
+            above=level.spec.above,
+            every=level.spec.every,
+            error_mm=1e3 * level.error.max_m,
+            motion_error_mm=0.0 if motion is None else 1e3 * motion.max_m,
+        )
+
+    def _colors(self, materials: list[Material]) -> Floats:
+        from keypose.samples import crowds as built_in
+
+        if self.character.name == "Robin":
+            return built_in.outfits(materials, self.count, self.seed)
+        return varied(materials, self.count, self.seed)
+
+    def step(self, dt_s: float, view: View) -> bytes:
+        """Move everybody on by a time, 0 to stand; the frame as it is sent."""
+        began = perf_counter()
+        heights = lod.view_heights(self.crowd.roots[:, :2], np.array(view.eye), self.height_m, view.fov_deg)
+        changed = lod.choose(self.detail, heights)
+        if len(changed):
+            self._drop_joints()
+        chosen = perf_counter()
+        if dt_s > 0 or self._frames == 0:
+            self._move(dt_s or 1e-3)
+        moved = perf_counter()
+        updates = lod.matrices(self.detail, self.crowd.models, self.crowd.roots, self._due(dt_s), self.unit_m)
+        body = Body()
+        self._frames += 1
+        header = messages.CrowdFrame(
+            type="crowd_frame",
+            crowd=self.number,
+            number=self._frames,
+            time_s=self.time_s,
+            dt_s=dt_s,
+            roots=body.add(self.crowd.roots, "float32"),
+            levels=body.add(self.detail.level, "uint8"),
+            updates=[
+                messages.CrowdUpdate(body.add(who, "uint16"), body.add(small.view(np.uint16), "uint16"))
+                for who, small in updates
+            ],
+            steer_us=self._steer_us,
+            animate_us=self._animate_us,
+            pack_us=1e6 * (perf_counter() - moved + chosen - began),
+        )
+        return pack(header, body)
+
+    def _due(self, dt_s: float) -> list[Any]:
+        """Whose joints are sent: where time stands, only those of characters with a new level."""
+        if dt_s > 0 or self._frames == 0:
+            return lod.begin(self.detail)
+        fresh = [np.nonzero(f)[0] for f in self.detail.fresh]
+        for flags in self.detail.fresh:
+            flags[:] = False
+        return fresh
+
+    def _move(self, dt_s: float) -> None:
+        began = perf_counter()
+        s, crowd = self.steering, self.crowd
+        if steering.step(s, crowd.roots, dt_s):
+            known = crowd.program.inputs
+            for name in ("speed", "turn", "wave", "look", "look_at"):
+                if name in known:
+                    crowds.set_parameter(crowd, name, getattr(s, name))
+            if "jump" in known and s.jump.any():
+                crowds.set_parameter(crowd, "jump", 1.0, np.nonzero(s.jump)[0])
+        steered = perf_counter()
+        crowds.animate_crowd(crowd, dt_s)
+        self.time_s += dt_s
+        done = perf_counter()
+        share = 0.1 if self._frames else 1.0
+        self._steer_us += share * (1e6 * (steered - began) - self._steer_us)
+        self._animate_us += share * (1e6 * (done - steered) - self._animate_us)
+
+    def _drop_joints(self) -> None:
+        """A block of the crowd needs the joints of its finest character."""
+        blocks = len(self.crowd.level)
+        finest = np.full(blocks * self.crowd.models.shape[-1], len(self.levels) - 1)
+        finest[: self.count] = self.detail.level
+        self.crowd.level[:] = finest.reshape(blocks, -1).min(axis=1)
+
+
+def _check_driven(program: Program) -> None:
+    """Raises `KeyposeError` for a graph that cannot be steered."""
+    for name in ("speed", "turn"):
+        if name not in program.inputs or program.inputs[name].definition.kind != "float":
+            raise KeyposeError(
+                f"a crowd is steered by the parameters 'speed' (m/s) and 'turn' (degrees per second); the graph has "
+                f"{', '.join(repr(n) for n in program.inputs) or 'none'}"
+            )
+
+
+def _dropped(names: tuple[str, ...], level: Level, parents: Array) -> list[str]:
+    """Joints that no vertex of the level needs, neither itself nor for a joint below."""
+    needed = np.zeros(len(names), bool)
+    needed[level.skin.palette] = True
+    needed |= np.asarray(parents) < 0
+    for joint in range(len(names) - 1, -1, -1):
+        if needed[joint] and parents[joint] >= 0:
+            needed[parents[joint]] = True
+    return [name for name, kept in zip(names, needed, strict=True) if not kept]
+
+
+def varied(materials: list[Material], count: int, seed: int) -> Floats:
+    """Colours of each material for each of ``count`` characters, linear RGB (count, M, 3): the own ones, lighter, darker and
+    turned a little in hue, the first as they are."""
+    rng = np.random.default_rng(seed)
+    own = np.array([m.base_color[:3] for m in materials], np.float64)
+    gray = own.mean(axis=1, keepdims=True)
+    angle = rng.normal(0.0, 0.5, (count, len(materials), 1))
+    angle[0] = 0.0
+    # Turned about the grey axis, light kept.
+    away = own - gray
+    axis = np.full(3, 3**-0.5)
+    turned = away * np.cos(angle) + np.cross(np.broadcast_to(axis, away.shape), away) * np.sin(angle)
+    light = np.exp(rng.normal(0.0, 0.2, (count, 1, 1)))
+    light[0] = 1.0
+    return np.clip((gray + turned) * light, 0.0, 1.0)
+
+
+def _srgb(linear: Floats) -> Floats:
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+class CrowdRunner:
+    """The clock of a crowd, in a thread; methods may be called from any thread, ``send`` is called from the crowd's own."""
+
+    def __init__(
+        self, make: Callable[[], CrowdShow], send: Callable[[bytes], None], failed: Callable[[str], None]
+    ) -> None:
+        self._make, self._send, self._failed = make, send, failed
+        self._changed = threading.Condition()
+        self._closed = False
+        self._paused, self._speed, self._rate_hz = False, 1.0, 30.0
+        self._view, self._looked = View(), True
+        self._behaviour: str | None = None
+        self._sent = self._acknowledged = 0
+        self._last = self._due = perf_counter()
+        self._thread = threading.Thread(target=self._run, name="keypose crowd", daemon=True)
+
+    def start(self) -> None:
+        """Build the crowd, and let it go."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End; does not wait for the step that is being made."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the thread after `close`; whether it has ended."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @property
+    def sent(self) -> int:
+        """Frames so far."""
+        return self._sent
+
+    def acknowledge(self, number: int) -> None:
+        """Frames up to this one were drawn; numbers that were never sent are ignored."""
+        with self._changed:
+            if self._acknowledged < number <= self._sent:
+                self._acknowledged = number
+                self._changed.notify()
+
+    def pace(self, paused: bool, speed: float, rate_hz: float) -> None:
+        """Stop or slow time, or make fewer steps of it."""
+        with self._changed:
+            if self._paused and not paused:
+                self._last = self._due = perf_counter()
+            self._paused, self._speed = paused, min(max(speed, 0.02), 4.0)
+            self._rate_hz = min(max(rate_hz, 1.0), 120.0)
+            self._changed.notify()
+
+    def look(self, eye: list[float], fov_deg: float) -> None:
+        """The camera is here now."""
+        with self._changed:
+            self._view = View((eye[0], eye[1], eye[2]), min(max(fov_deg, 1.0), 170.0))
+            self._looked = True
+            self._changed.notify()
+
+    def behave(self, behaviour: str) -> None:
+        """Do something else; an unknown behaviour is ignored."""
+        with self._changed:
+            if behaviour in steering.BEHAVIOURS:
+                self._behaviour = behaviour
+
+    def _run(self) -> None:
+        try:
+            show = self._make()
+            self._send(show.ready())
+            self._last = self._due = perf_counter()
+            while self._one(show):
+                pass
+        except KeyposeError as error:
+            self._failed(str(error))
+        except BaseException:
+            self._failed("an error inside keypose; its terminal shows where")
+            raise
+
+    def _one(self, show: CrowdShow) -> bool:
+        """Wait until it is time, and make one step; False once closed."""
+        with self._changed:
+            while not self._closed and (wait_s := self._wait_s()) != 0:
+                self._changed.wait(wait_s)
+            if self._closed:
+                return False
+            now = perf_counter()
+            real = min(max(now - self._last, 0.0), _LONGEST_STEP_S)
+            self._last = now
+            in_time = 0 <= now - self._due < 1.0 / self._rate_hz
+            self._due = (self._due if in_time else now) + 1.0 / self._rate_hz
+            dt_s = 0.0 if self._paused else real * self._speed
+            view, self._looked = self._view, False
+            behaviour, self._behaviour = self._behaviour, None
+        if behaviour is not None:
+            steering.turn_to(show.steering, behaviour)  # type: ignore[arg-type]
+        data = show.step(dt_s, view)
+        with self._changed:
+            self._sent += 1
+        self._send(data)
+        return True
+
+    def _wait_s(self) -> float | None:
+        """How long nothing is to be done: 0 for now, None until something changes."""
+        if self._sent - self._acknowledged >= WINDOW:
+            return None
+        if self._paused and not (self._looked or self._sent == 0):
+            return None
+        return max(self._due - perf_counter(), 0.0)
+
+
+async def crowd_events(session: Session, socket: WebSocket) -> None:
+    """One page's crowd, from its opening to the end of the connection."""
+    await socket.accept()
+    loop = asyncio.get_running_loop()
+    waiting: asyncio.Queue[bytes] = asyncio.Queue()
+    runner: CrowdRunner | None = None
+
+    def later(data: bytes) -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(waiting.put_nowait, data)
+
+    def failed(text: str) -> None:
+        later(pack(messages.CrowdFailure("crowd_failure", text)))
+
+    async def send() -> None:
+        while True:
+            await socket.send_bytes(await waiting.get())
+
+    sender = asyncio.create_task(send())
+    try:
+        async for text in socket.iter_text():
+            request = parse_crowd_request(text)
+            if isinstance(request, messages.CrowdOpen):
+                if runner is not None:
+                    runner.close()
+                while not waiting.empty():
+                    waiting.get_nowait()
+                runner = _opened(session, request, later, failed)
+            elif request is None or (isinstance(request, messages.CrowdView) and len(request.eye) != 3):
+                await socket.close(1003, "unknown message")
+                break
+            elif runner is not None:
+                _tell(runner, request)
+    finally:
+        if runner is not None:
+            runner.close()
+        sender.cancel()
+        await asyncio.gather(sender, return_exceptions=True)
+
+
+def _tell(runner: CrowdRunner, request: messages.CrowdRequest) -> None:
+    match request:
+        case messages.CrowdAcknowledge(number=number):
+            runner.acknowledge(number)
+        case messages.CrowdPace(paused=paused, speed=speed, rate_hz=rate_hz):
+            runner.pace(paused, speed, rate_hz)
+        case messages.CrowdView(eye=eye, fov_deg=fov_deg):
+            runner.look(eye, fov_deg)
+        case messages.CrowdBehave(behaviour=behaviour):
+            runner.behave(behaviour)
+        case messages.CrowdOpen():
+            pass
+
+
+def _opened(
+    session: Session, request: messages.CrowdOpen, send: Callable[[bytes], None], failed: Callable[[str], None]
+) -> CrowdRunner | None:
+    opened = session.graphs.get(request.graph)
+    if opened is None:
+        failed(f"no graph '{request.graph[:60]}' is open")
+        return None
+
+    def make() -> CrowdShow:
+        return CrowdShow(opened.stage(), opened.entry.name, request.count, request.behaviour, request.seed)
+
+    runner = CrowdRunner(make, send, failed)
+    runner.start()
+    return runner
