@@ -25,7 +25,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from keypose.kernels.decode import CELLS, FRAME_COUNT, FRAMES, SLOTS, TRACKS, decode_pose
+from keypose.kernels.decode import CELLS, FRAME_COUNT, FRAMES, SLOTS, TRACKS, decode_pose, decode_two
 from keypose.kernels.rotations import load3, load4, quat_dot, quat_matrix, store3, store4
 from keypose.kernels.runtime import WIDTH, inlined, intrinsic, kernel, short_kernel
 from keypose.kernels.vectors import (
@@ -57,8 +57,8 @@ LAYOUT, TABLES, BOOK, CODES, FIRST_KNOT, KNOTS, FINENESS, LOOP = range(CLIP)
 (
     JOINTS, PADDED, CLIP_COUNT, MOVED, SCALED, KNOT_SIZE, SLOT_COUNT, HAND, TICK, DECODED, CLIP_TABLE, TIMING, KNOT_TIMES,
     SLOT_OF, KNOT_OF, STAMPS, POOL, MOVED_AT, SCALED_AT, REST, PARENTS, PLACES, SHARES, POSES, SUMS, ROOM,
-    LOCAL, MODEL, SPARE,
-) = range(29)  # fmt: skip
+    LOCAL, MODEL, SPARE, SUM_SIZE, ROOM_SIZE,
+) = range(31)  # fmt: skip
 # What one call is about: addresses of the handles and the arrays, then sizes.
 CALL = 8
 _HANDLES, _WHICH, _TIMES, _WEIGHTS, _MODELS, _CHARACTERS, _MANY = range(7)
@@ -123,28 +123,74 @@ def _copy_groups(room, first, padded, places, pool, to, width):
                     store(pool, to + row * width + places[group] + k, value)
 
 
-@kernel
-def _decode_knot(handles, clip, knot, slot):
-    """Decode one sample of one clip into the pool."""
+@inlined
+def _keep(handles, room, at, slot):
+    """Move a decoded pose to its slot; of translations and scales only the groups that move in some clip."""
+    pool, padded, moved, scaled = float32_at(handles[POOL]), handles[PADDED], handles[MOVED], handles[SCALED]
+    to = slot * handles[KNOT_SIZE]
+    for k in range(0, 4 * padded, WIDTH):
+        store(pool, to + k, load(room, at + k))
+    _copy_groups(room, at + 4 * padded, padded, int64_at(handles[MOVED_AT]), pool, to + 4 * padded, moved)
+    at, to = at + 7 * padded, to + 4 * padded + 3 * moved
+    _copy_groups(room, at, padded, int64_at(handles[SCALED_AT]), pool, to, scaled)
+    handles[DECODED] += 1
+
+
+@inlined
+def _place_of(handles, layout, knot):
+    """The frame of a knot, and the share of the frame after it."""
+    at = min(float64_at(handles[KNOT_TIMES])[knot], float(layout[FRAME_COUNT] - 1))
+    frame = int(at)
+    return frame, at - frame
+
+
+@inlined
+def _arrays_of(handles, clip):
+    """What a clip is decoded from."""
     table = int64_at(handles[CLIP_TABLE])
-    layout = int64_at(table[clip * CLIP + LAYOUT])
-    decoder = (
-        layout,
+    return (
+        int64_at(table[clip * CLIP + LAYOUT]),
         float32_at(table[clip * CLIP + TABLES]),
         uint8_at(table[clip * CLIP + BOOK]),
         uint8_at(table[clip * CLIP + CODES]),
     )
-    at = min(float64_at(handles[KNOT_TIMES])[knot], float(layout[FRAME_COUNT] - 1))
-    frame = int(at)
-    room, pool = float32_at(handles[ROOM]), float32_at(handles[POOL])
-    decode_pose(decoder, frame, at - frame, float32_at(handles[SUMS]), room, 0)
-    padded, moved, scaled = handles[PADDED], handles[MOVED], handles[SCALED]
-    to = slot * handles[KNOT_SIZE]
-    for k in range(0, 4 * padded, WIDTH):
-        store(pool, to + k, load(room, k))
-    _copy_groups(room, 4 * padded, padded, int64_at(handles[MOVED_AT]), pool, to + 4 * padded, moved)
-    _copy_groups(room, 7 * padded, padded, int64_at(handles[SCALED_AT]), pool, to + 4 * padded + 3 * moved, scaled)
-    handles[DECODED] += 1
+
+
+@kernel
+def _decode_knot(handles, clip, knot, slot):
+    """Decode one sample of one clip into the pool."""
+    arrays, room = _arrays_of(handles, clip), float32_at(handles[ROOM])
+    frame, share = _place_of(handles, arrays[0], knot)
+    decode_pose(arrays, frame, share, float32_at(handles[SUMS]), room, 0)
+    _keep(handles, room, 0, slot)
+
+
+@kernel
+def _decode_knots(handles, clip, knot, slot, after, slot_after):
+    """Decode two samples of one clip, together where they are in one segment."""
+    arrays, room = _arrays_of(handles, clip), float32_at(handles[ROOM])
+    frame, share = _place_of(handles, arrays[0], knot)
+    next_frame, next_share = _place_of(handles, arrays[0], after)
+    sums, second, half = float32_at(handles[SUMS]), handles[SUM_SIZE], handles[ROOM_SIZE]
+    if decode_two(arrays, frame, share, next_frame, next_share, sums, second, room, 0, half):
+        _keep(handles, room, 0, slot)
+        _keep(handles, room, half, slot_after)
+    else:
+        _decode_knot(handles, clip, knot, slot)
+        _decode_knot(handles, clip, after, slot_after)
+
+
+@inlined
+def _taken_slot(handles, knot, slot_of, knot_of, stamps):
+    """The next slot of the pool that this block does not need, for a knot that is not yet there."""
+    slots, tick, slot = handles[SLOT_COUNT], handles[TICK], handles[HAND]
+    while stamps[slot] == tick:
+        slot = slot + 1 if slot + 1 < slots else 0
+    handles[HAND] = slot + 1 if slot + 1 < slots else 0
+    if knot_of[slot] >= 0:
+        slot_of[knot_of[slot]] = -1
+    slot_of[knot], knot_of[slot], stamps[slot] = slot, knot, tick
+    return slot
 
 
 @inlined
@@ -152,39 +198,37 @@ def _pooled(handles, clip, knot, slot_of, knot_of, stamps):
     """Where the pool holds a knot; it is decoded if it does not yet."""
     slot = slot_of[knot]
     if slot < 0:
-        slots, tick = handles[SLOT_COUNT], handles[TICK]
-        slot = handles[HAND]
-        while stamps[slot] == tick:  # this block needs it
-            slot = slot + 1 if slot + 1 < slots else 0
-        handles[HAND] = slot + 1 if slot + 1 < slots else 0
-        if knot_of[slot] >= 0:
-            slot_of[knot_of[slot]] = -1
+        slot = _taken_slot(handles, knot, slot_of, knot_of, stamps)
         _decode_knot(handles, clip, knot, slot)
-        slot_of[knot], knot_of[slot] = slot, knot
     stamps[slot] = handles[TICK]
     return slot * handles[KNOT_SIZE]
 
 
 @inlined
-def _seen(handles, clip, knot, slot_of, knot_of, stamps, since, spare):
-    """As `_pooled`, but knots used ``since`` then stay in the pool: where that leaves no room the spare slot is used."""
-    slots = handles[SLOT_COUNT]
-    if slot_of[knot] < 0 and handles[SPARE] > 0:
+def _slot_for(handles, knot, slot_of, knot_of, stamps, since, spare):
+    """The slot of a knot, or the one to decode it to, and whether to do so.
+
+    Knots used ``since`` then stay in the pool: where that leaves no room the spare slot is used.
+    """
+    slots, slot = handles[SLOT_COUNT], slot_of[knot]
+    if slot >= 0:
+        stamps[slot] = handles[TICK]
+        return slot, False
+    if handles[SPARE] > 0:
         slot, looks = handles[HAND], 0
         while looks < _LOOKS and stamps[slot] >= since:
             slot, looks = slot + 1 if slot + 1 < slots else 0, looks + 1
         handles[HAND] = slot
         if looks == _LOOKS:
-            _decode_knot(handles, clip, knot, slots + spare)
-            return (slots + spare) * handles[KNOT_SIZE]
-    return _pooled(handles, clip, knot, slot_of, knot_of, stamps)
+            return slots + spare, True
+    return _taken_slot(handles, knot, slot_of, knot_of, stamps), True
 
 
 @kernel
 def _place(handles, which, times_s, weights, first, many, to, since):
     """Where the pool holds the two knots of each clip of a character, the share between them and the clip's weight.
 
-    Knots used ``since`` then stay in the pool, see `_seen`.
+    Knots used ``since`` then stay in the pool, see `_slot_for`.
     """
     table, timing = int64_at(handles[CLIP_TABLE]), float64_at(handles[TIMING])
     slot_of, knot_of = int64_at(handles[SLOT_OF]), int64_at(handles[KNOT_OF])
@@ -205,10 +249,18 @@ def _place(handles, which, times_s, weights, first, many, to, since):
         knot, share = knot * fineness + part_of, share - part_of
         after = min(knot + 1, table[row + KNOTS] - 1) if share > 0 else knot
         base = table[row + FIRST_KNOT]
-        for own, place in enumerate((knot, after)):
-            places[to + 2 * k + own] = _seen(
-                handles, clip, base + place, slot_of, knot_of, stamps, since, to + 2 * k + own
-            )  # fmt: skip
+        knot, after, spare = base + knot, base + after, to + 2 * k
+        slot, missing = _slot_for(handles, knot, slot_of, knot_of, stamps, since, spare)
+        slot_after, missing_after = slot, False
+        if after != knot:
+            slot_after, missing_after = _slot_for(handles, after, slot_of, knot_of, stamps, since, spare + 1)
+        if missing and missing_after:
+            _decode_knots(handles, clip, knot, slot, after, slot_after)
+        elif missing:
+            _decode_knot(handles, clip, knot, slot)
+        elif missing_after:
+            _decode_knot(handles, clip, after, slot_after)
+        places[spare], places[spare + 1] = slot * handles[KNOT_SIZE], slot_after * handles[KNOT_SIZE]
         shares[to + 2 * k] = np.float32(share)
         # Where nothing weighs anything the first clip is played.
         own = weights[first + k] / total if total > 0 else 1.0 if k == 0 else 0.0

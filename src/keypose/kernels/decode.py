@@ -75,7 +75,7 @@ def _gather_words(builder, data, table):
         found = call_llvm(builder, "llvm.x86.avx512.permvar.qi.512", whole, [codes, where])
         return builder.bitcast(found, _WORDS)
     fours = [_gather_four(builder, data, table, first) for first in range(0, FRAMES, 4)]
-    low, high = (shuffle(builder, *fours[k : k + 2], range(8)) for k in (0, 2))
+    low, high = (shuffle(builder, fours[k], fours[k + 1], range(8)) for k in (0, 2))
     return shuffle(builder, low, high, range(FRAMES))
 
 
@@ -120,7 +120,8 @@ def _joined(near, far):
     @intrinsic
     def join(typing, a, b):
         def generate(context, builder, sig, args):
-            return builder.fadd(*(shuffle(builder, *args, order) for order in (near, far)), flags=("contract", "nsz"))
+            parts = [shuffle(builder, args[0], args[1], order) for order in (near, far)]
+            return builder.fadd(parts[0], parts[1], flags=("contract", "nsz"))
 
         return _SIXTEEN(a, b), generate
 
@@ -174,16 +175,41 @@ def _eight(codes, profile, start, book, weights):
     f, start = _one(codes, profile + 5, start, book, weights)
     g, start = _one(codes, profile + 6, start, book, weights)
     h, start = _one(codes, profile + 7, start, book, weights)
-    return _join_halves(a, e), _join_halves(b, f), _join_halves(c, g), _join_halves(d, h), start
+    return (_join_halves(a, e), _join_halves(b, f), _join_halves(c, g), _join_halves(d, h)), start
 
 
 @inlined
-def _sixteen(codes, profile, start, book, weights):
-    a, b, c, d, start = _eight(codes, profile, start, book, weights)
-    e, f, g, h, start = _eight(codes, profile + 8, start, book, weights)
+def _eight_of_both(codes, profile, start, book, first, second):
+    """As `_eight`, for two mixtures of the same coefficients."""
+    a, i, start = _both(codes, profile, start, book, first, second)
+    b, j, start = _both(codes, profile + 1, start, book, first, second)
+    c, k, start = _both(codes, profile + 2, start, book, first, second)
+    d, m, start = _both(codes, profile + 3, start, book, first, second)
+    e, n, start = _both(codes, profile + 4, start, book, first, second)
+    a, i = _join_halves(a, e), _join_halves(i, n)
+    e, n, start = _both(codes, profile + 5, start, book, first, second)
+    b, j = _join_halves(b, e), _join_halves(j, n)
+    e, n, start = _both(codes, profile + 6, start, book, first, second)
+    c, k = _join_halves(c, e), _join_halves(k, n)
+    e, n, start = _both(codes, profile + 7, start, book, first, second)
+    d, m = _join_halves(d, e), _join_halves(m, n)
+    return (a, b, c, d), (i, j, k, m), start
+
+
+@inlined
+def _both(codes, profile, start, book, first, second):
+    entry = np.int64(codes[profile]) * ENTRY
+    coefficients = unpack_coefficients(codes, start, book, entry)
+    return coefficients * first, coefficients * second, start + book[entry + SIZE]
+
+
+@inlined
+def _joined_fours(low, high):
+    a, b, c, d = low
+    e, f, g, h = high
     ab = _join_pairs(_join_quarters(a, e), _join_quarters(b, f))
     cd = _join_pairs(_join_quarters(c, g), _join_quarters(d, h))
-    return _join_single(ab, cd), start
+    return _join_single(ab, cd)
 
 
 @inlined
@@ -194,11 +220,55 @@ def sum_tracks(layout, tables, book, codes, segment, weights, again, sums):
     start = profiles + tracks
     steps = layout[STEPS]
     for track in range(0, tracks, FRAMES):
-        total, start = _sixteen(codes, profiles + track, start, book, weights)
-        total = total * load_sixteen(tables, steps + track)
+        low, start = _eight(codes, profiles + track, start, book, weights)
+        high, start = _eight(codes, profiles + track + 8, start, book, weights)
+        total = _joined_fours(low, high) * load_sixteen(tables, steps + track)
         if again:
             total = total + load_sixteen(sums, track)
         store(sums, track, total)
+
+
+@inlined
+def _sum_tracks_of_both(layout, tables, book, codes, segment, first, second, sums, after):
+    """As `sum_tracks`, for two mixtures at once; the sums of the second stand ``after`` places later."""
+    tracks = layout[TRACKS]
+    profiles = layout[layout[OFFSETS] + segment]
+    start = profiles + tracks
+    steps = layout[STEPS]
+    for track in range(0, tracks, FRAMES):
+        low, other_low, start = _eight_of_both(codes, profiles + track, start, book, first, second)
+        high, other_high, start = _eight_of_both(codes, profiles + track + 8, start, book, first, second)
+        step = load_sixteen(tables, steps + track)
+        store(sums, track, _joined_fours(low, high) * step)
+        store(sums, after + track, _joined_fours(other_low, other_high) * step)
+
+
+@inlined
+def _mixture(layout, tables, frame, share):
+    """The segment of a place, the weights of its coefficients, and the share of the next segment's first sample."""
+    slot = frame // FRAMES
+    entry = layout[layout[SLOTS] + slot]
+    position = frame - slot * FRAMES + share
+    cells = 1 << (entry & 7)
+    cell = min(int(position * cells) >> 4, cells - 1)
+    found = layout[layout[CELLS] + (entry >> 3) + cell]
+    segment, samples = found >> 3, 1 << (found & 7)  # samples per frame
+    position *= samples
+    sample = min(int(position), FRAMES * samples - 1)
+    share = position - sample
+    local = sample & (FRAMES - 1)
+    row = local * FRAMES
+    scale = tables[layout[SCALES] + segment]
+    weights, next_share = load_sixteen(tables, row), 0.0
+    if frame + 1 < layout[FRAME_COUNT]:
+        weights = weights * ((1 - share) * scale)
+        if local < FRAMES - 1:
+            weights = weights + load_sixteen(tables, row + FRAMES) * (share * scale)
+        else:
+            next_share = share
+    else:
+        weights = weights * scale
+    return segment, weights, next_share
 
 
 @inlined
@@ -210,39 +280,43 @@ def decode_pose(clip, frame, share, sums, out, at):
     looked at where there is one. All rows and morph weights are written.
     """
     layout, tables, book, codes = clip
-    padded = layout[PADDED]
     if layout[TRACKS] > 0:
-        slot = frame // FRAMES
-        entry = layout[layout[SLOTS] + slot]
-        position = frame - slot * FRAMES + share
-        cells = 1 << (entry & 7)
-        cell = min(int(position * cells) >> 4, cells - 1)
-        found = layout[layout[CELLS] + (entry >> 3) + cell]
-        segment, samples = found >> 3, 1 << (found & 7)  # samples per frame
-        position *= samples
-        sample = min(int(position), FRAMES * samples - 1)
-        share = position - sample
-        local = sample & (FRAMES - 1)
-        row = local * FRAMES
-        scales = layout[SCALES]
-        scale = tables[scales + segment]
-        mixed = frame + 1 < layout[FRAME_COUNT]
-        weights = load_sixteen(tables, row)
-        if mixed:
-            weights = weights * ((1 - share) * scale)
-            if local < FRAMES - 1:
-                weights = weights + load_sixteen(tables, row + FRAMES) * (share * scale)
-        else:
-            weights = weights * scale
+        segment, weights, next_share = _mixture(layout, tables, frame, share)
         sum_tracks(layout, tables, book, codes, segment, weights, False, sums)
-        if mixed and local == FRAMES - 1 and share > 0:
-            weights = load_sixteen(tables, 0) * (share * tables[scales + segment + 1])
+        if next_share > 0:
+            weights = load_sixteen(tables, 0) * (next_share * tables[layout[SCALES] + segment + 1])
             sum_tracks(layout, tables, book, codes, segment + 1, weights, True, sums)
+    _pose(layout, tables, sums, 0, out, at)
+
+
+@inlined
+def decode_two(clip, frame, share, other_frame, other_share, sums, after, out, at, other_at):
+    """As `decode_pose` twice, to the same bits, where both are in one segment; else False, and nothing is written.
+
+    ``sums`` has room for another pose from ``after`` on.
+    """
+    layout, tables, book, codes = clip
+    if layout[TRACKS] == 0:
+        return False
+    segment, weights, next_share = _mixture(layout, tables, frame, share)
+    other_segment, other_weights, other_next = _mixture(layout, tables, other_frame, other_share)
+    if segment != other_segment or next_share > 0 or other_next > 0:
+        return False
+    _sum_tracks_of_both(layout, tables, book, codes, segment, weights, other_weights, sums, after)
+    for to, places in ((at, 0), (other_at, after)):
+        _pose(layout, tables, sums, places, out, to)
+    return True
+
+
+@inlined
+def _pose(layout, tables, sums, first, out, at):
+    """The pose that the sums of all tracks make, which stand from ``first`` on."""
+    padded = layout[PADDED]
     base, masks = layout[BASE], layout[MASKS]
     for k in range(0, padded * ROWS + layout[MORPHS], FRAMES):
         bits = layout[masks]
         if bits:
-            store(out, at + k, expand(sums, layout[masks + 1], bits, tables, base + k))
+            store(out, at + k, expand(sums, first + layout[masks + 1], bits, tables, base + k))
         else:
             store(out, at + k, load_sixteen(tables, base + k))
         masks += 2

@@ -117,6 +117,7 @@ def prepare(
     if 4 * knot_size * total > pool_bytes:
         spare = 2 * clips_each * WIDTH
         slots = min(max(pool_bytes // (4 * knot_size) - spare, 2 * clips_each * WIDTH + 1), total)
+    room, stride = max(c.decoder.room for c in clips), max(c.decoder.stride for c in clips)
     parts = {
         "clip_table": table.ravel(),
         "timing": np.array([[c.start_s, c.rate_hz] for c in clips], np.float64).ravel(),
@@ -132,13 +133,13 @@ def prepare(
         "places": aligned(2 * clips_each * WIDTH, np.int64),
         "shares": aligned(2 * clips_each * WIDTH),
         "poses": aligned(2 * kernel.ROWS * WIDTH * WIDTH),
-        "sums": aligned(max(c.decoder.room for c in clips)),
-        "room": aligned(max(c.decoder.stride for c in clips)),
+        "sums": aligned(2 * room),
+        "room": aligned(2 * stride),
         "local": aligned(12 * padded),
         "model": aligned(16 * joints),
     }
     numbers = (joints, padded, len(clips), moved, scaled, knot_size, slots, 0, 0, 0)
-    handles = np.array([*numbers, *(part.ctypes.data for part in parts.values()), spare], np.int64)
+    handles = np.array([*numbers, *(part.ctypes.data for part in parts.values()), spare, room, stride], np.int64)
     blocks = -(-count // WIDTH)
     models = aligned(blocks * joints * 12 * WIDTH).reshape(blocks, joints, 12, WIDTH)
     model = parts["model"].reshape(joints, 4, 4)
