@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 import time
@@ -19,8 +20,10 @@ from test_server import request, with_token
 from keypose import io
 from keypose.play import graph as g
 from keypose.studio import StudioServer, describe
+from keypose.studio.app import build_app
 from keypose.studio.desk import MOST_PLAYERS
 from keypose.studio.pacing import WINDOW, WINDOW_FOR_INPUT
+from keypose.studio.session import Session
 
 sync = pytest.importorskip("websockets.sync.client")
 
@@ -276,6 +279,29 @@ def test_a_session_ends_with_its_connection(server: StudioServer) -> None:
         plain.until("play_frame", lambda f: f["player"] == 2)
         wait_for(lambda: players() == 1, "the old player ends")
     wait_for(lambda: players() == 0, "the player ends with its page")
+
+
+def test_a_page_that_goes_in_the_middle_of_a_frame_leaves_no_traceback() -> None:
+    async def run() -> None:
+        gone = asyncio.Event()
+
+        async def receive() -> dict[str, Any]:
+            if not asked:
+                asked.append(True)
+                return {"type": "websocket.connect"}
+            await gone.wait()
+            return {"type": "websocket.disconnect", "code": 1006}
+
+        async def send(message: dict[str, Any]) -> None:
+            if message["type"] == "websocket.send":
+                gone.set()
+                raise OSError("nobody is there")
+
+        asked: list[bool] = []
+        scope = {"type": "websocket", "path": "/api/events", "query_string": b"", "headers": [], "subprotocols": []}
+        await build_app(Session(graphs=[opened_arm()]), {})(scope, receive, send)
+
+    asyncio.run(run())
 
 
 def test_only_so_many_pages_play_at_once(server: StudioServer) -> None:

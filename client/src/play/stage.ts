@@ -45,6 +45,8 @@ export class PlayStage {
   private readonly submitTimes = new Float64Array(SAMPLES);
   private readonly frameTimes = new Float64Array(SAMPLES);
   private samples = 0;
+  /** Leave the graphics card out, to measure all the rest on a machine without one. */
+  blank = false;
   /** Speed over the ground as it is shown, smoothed. */
   groundSpeed = 0;
 
@@ -264,7 +266,7 @@ export class PlayStage {
 
   private draw(): void {
     const { renderer, playing } = this;
-    if (this.size[0] === 0) return;
+    if (this.size[0] === 0 || this.blank) return;
     const height = playing?.actor.height ?? 1.8;
     this.point.set(this.hips.x, Math.max(0.5 * height, this.hips.y), this.hips.z);
     this.lights.fit(this.point, 1.25 * height);

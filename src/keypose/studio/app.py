@@ -152,6 +152,8 @@ def written(scene: Scene, kind: str) -> bytes:
 
 async def _events(session: Session, socket: WebSocket) -> None:
     """Send what the session says to one browser; take its acknowledgements and requests."""
+    from starlette.websockets import WebSocketDisconnect
+
     from keypose.studio.desk import PlayDesk
 
     await socket.accept()
@@ -184,5 +186,6 @@ async def _events(session: Session, socket: WebSocket) -> None:
         desk.close()
         session.leave(outbox)
         sender.cancel()
-        with suppress(asyncio.CancelledError, RuntimeError, OSError):
+        # a step that was on its way when the page went finds nobody
+        with suppress(asyncio.CancelledError, RuntimeError, OSError, WebSocketDisconnect):
             await sender
