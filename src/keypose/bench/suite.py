@@ -27,6 +27,7 @@ _REFERENCE_ROUNDS = 3
 
 # seconds per item -> what is shown
 _PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "us/character": 1e6, "ns/vertex": 1e9, "ms": 1e3}
+_LESS = {"mm", "cm/s"}
 _PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0, "characters": 1 / 60}
 
 
@@ -114,8 +115,10 @@ class Suite:
     def known(
         self, name: str, unit: str, value: float, reference: float | None = None, against: str = "", note: str = ""
     ) -> None:
-        """A row that is not timed, of which more is better."""
-        ratio = None if reference is None else value / reference
+        """A row that is not timed; of lengths and speeds less is better, of all else more."""
+        ratio = None
+        if reference is not None:
+            ratio = reference / max(value, 1e-3 * reference) if unit in _LESS else value / reference
         self.missing.append(Result(name, unit, value, value, reference, ratio, against, note, self.name))
 
     def run(self, rounds: int, json_path: Path | None = None) -> list[Result]:
@@ -189,9 +192,9 @@ def _show(results: list[Result]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("case", no_wrap=True)
     for title in ("value", "median", "reference", "ratio"):
-        table.add_column(title, justify="right")
-    table.add_column("unit", no_wrap=True)
-    table.add_column("against", no_wrap=True)
+        table.add_column(title, justify="right", no_wrap=True, min_width=7)
+    table.add_column("unit", no_wrap=True, min_width=12)
+    table.add_column("against", no_wrap=True, ratio=1)
     suites = list(dict.fromkeys(r.suite for r in results))
     for suite in suites:
         if len(suites) > 1:
@@ -213,7 +216,7 @@ def _show(results: list[Result]) -> None:
 def _add_row(table: Table, r: Result) -> None:
     from rich.text import Text
 
-    ratio = Text("" if r.ratio is None else f"{r.ratio:.3g}x")
+    ratio = Text("" if r.ratio is None else (f"{r.ratio:,.0f}x" if r.ratio >= 1000 else f"{r.ratio:.3g}x"))
     if r.ratio is not None:
         ratio.stylize("bold green" if r.ratio >= 1.05 else "yellow" if r.ratio >= 0.95 else "bold red")
     numbers = ("" if n is None else _readable(n) for n in (r.value, r.median, r.reference))
@@ -221,7 +224,11 @@ def _add_row(table: Table, r: Result) -> None:
 
 
 def _readable(number: float) -> str:
-    return f"{number / 1e6:.4g}M" if number >= 1e6 else f"{number:.4g}"
+    if number >= 1e6:
+        return f"{number / 1e6:.4g}M"
+    if number >= 1e4:
+        return f"{number:,.0f}"
+    return f"{number:.4g}" if number >= 1e-4 else f"{number:.0g}"
 
 
 def _write(path: Path, results: list[Result], rounds: int) -> None:

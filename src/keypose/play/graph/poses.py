@@ -34,7 +34,7 @@ from keypose.play.graph.program import (
     Rest,
     Sample,
 )
-from keypose.play.graph.transitions import extrapolated, half_lives, quintic
+from keypose.play.graph.transitions import extrapolated, half_lives, quintic, rotation_vector_rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,25 +289,17 @@ def dead(memory: Memory, target: Buffer, op: Dead) -> Buffer:
     return mixed([alone, target], (1.0 - op.weight, op.weight))
 
 
-DIFFERENCE_S = 1e-4  # step of the derivative of the offset's rotation vector
-
-
 def begun(memory: Memory, start: Buffer, end: Buffer, dt_s: float) -> Memory:
     """Keep how the motion last seen differs from the new one at the same moment, in place and in velocity."""
     if memory.last is None or memory.spin is None or memory.velocity is None or dt_s <= 0:
         return replace(memory, turn=None)
     spin = quat.to_rotation_vector(quat.difference(start.rotations, end.rotations)) / dt_s
-    turn = quat.shortest(quat.difference(start.rotations, memory.last.rotations))
-    old = quat.multiply(quat.from_rotation_vector(DIFFERENCE_S * memory.spin), memory.last.rotations)
-    new = quat.multiply(quat.from_rotation_vector(DIFFERENCE_S * spin), start.rotations)
-    later = quat.difference(new, old)
-    # Stay on the branch of the logarithm: near half a turn the short way may change sides within the small step.
-    later = np.where(_dots(turn, later) < 0, -later, later)
-    vector = 2.0 * quat.log(turn)
+    turn = quat.difference(start.rotations, memory.last.rotations)
+    vector = quat.to_rotation_vector(turn)
     return replace(
         memory,
         turn=vector,
-        turn_speed=(2.0 * quat.log(later) - vector) / DIFFERENCE_S,
+        turn_speed=rotation_vector_rate(vector, memory.spin - quat.rotate(turn, spin)),
         offset=memory.last.linear - start.linear,
         offset_speed=memory.velocity - (end.linear - start.linear) / dt_s,
     )

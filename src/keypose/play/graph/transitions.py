@@ -38,6 +38,22 @@ def quintic(x0: Any, v0: Any, elapsed_s: float, duration_s: float) -> Any:
     return np.where(u >= 1.0, 0.0, side * left)
 
 
+def rotation_vector_rate(vector: Floats, spin: Floats) -> Floats:
+    """How fast the rotation vector of a rotation changes that turns with an angular velocity in the outer axes.
+
+    Shapes and units: both (*B, 3), rad and rad/s. The inverse of the left Jacobian of SO(3), by its series near 0.
+
+    Source: J. Sola et al., "A micro Lie theory for state estimation in robotics" (2018), equation 146.
+    """
+    squared = np.sum(vector * vector, axis=-1, keepdims=True)
+    angle = np.sqrt(np.maximum(squared, 1e-4))
+    factor = np.where(
+        squared > 1e-4, (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / np.maximum(squared, 1e-4), 1 / 12 + squared / 720
+    )
+    across = np.cross(vector, spin)
+    return spin - 0.5 * across + factor * np.cross(vector, across)
+
+
 SHORTEST_HALF_LIFE_S, LONGEST_HALF_LIFE_S = 0.05, 0.5
 
 
