@@ -1,4 +1,4 @@
-"""Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, scenes."""
+"""Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, markers, scenes."""
 
 import copyreg
 from types import MappingProxyType
@@ -6,6 +6,7 @@ from typing import Any
 
 from keypose.model.character import Character, Part, Scene
 from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
+from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
 from keypose.model.pose import Event, Motion, Pose
 from keypose.model.skeleton import Skeleton
@@ -18,8 +19,10 @@ __all__ = [
     "CurveKind",
     "Event",
     "Extrapolation",
+    "ForcePlate",
     "Image",
     "Interpolation",
+    "Markers",
     "Material",
     "Mesh",
     "MorphSet",
@@ -28,6 +31,7 @@ __all__ = [
     "Pose",
     "Property",
     "Scene",
+    "Signals",
     "Skeleton",
     "Skin",
 ]

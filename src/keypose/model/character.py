@@ -12,6 +12,7 @@ import numpy as np
 from keypose.arrays import Array, Ints, as_float, checked, frozen
 from keypose.errors import ShapeError, UnknownName
 from keypose.model.curve import Clip
+from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Material, Mesh, MorphSet, Skin
 from keypose.model.pose import Motion
 from keypose.model.skeleton import Skeleton
@@ -132,11 +133,13 @@ class Scene:
     up: str = "Y"
     notes: tuple[str, ...] = ()
     extras: Mapping[str, Any] = field(default_factory=_nothing)
+    markers: tuple[Markers, ...] = ()
+    signals: tuple[Signals, ...] = ()
+    plates: tuple[ForcePlate, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "characters", tuple(self.characters))
-        object.__setattr__(self, "animations", tuple(self.animations))
-        object.__setattr__(self, "notes", tuple(self.notes))
+        for name in ("characters", "animations", "notes", "markers", "signals", "plates"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def character(self) -> Character:
