@@ -42,8 +42,9 @@ def rng() -> np.random.Generator:
 
 def test_the_public_names() -> None:
     assert sorted(model.__all__) == [
-        "Channel", "Character", "Clip", "Curve", "CurveKind", "Event", "Extrapolation", "Image", "Interpolation",
-        "Material", "Mesh", "MorphSet", "Motion", "Part", "Pose", "Property", "Scene", "Skeleton", "Skin",
+        "Channel", "Character", "Clip", "Curve", "CurveKind", "Event", "Extrapolation", "ForcePlate", "Image",
+        "Interpolation", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Pose", "Property", "Scene", "Signals", "Skeleton",
+        "Skin",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 
