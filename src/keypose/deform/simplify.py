@@ -89,10 +89,11 @@ def simplify(
     return triangles.astype(np.int32)
 
 
-def surface_distance(points: Floats, positions: Floats, triangles: Ints, spacing_m: float = 0.008) -> Floats:
+def surface_distance(points: Floats, positions: Floats, triangles: Ints, spacing_m: float) -> Floats:
     """The distance of each point (N, 3) to a surface, in metres.
 
-    The surface is sampled every ``spacing_m``; the exact distance to the triangles of the nearest samples is taken.
+    The surface is sampled every ``spacing_m`` and at its corners; the exact distance to the triangles of the nearest
+    samples is taken.
     """
     from scipy.spatial import KDTree
 
@@ -108,9 +109,14 @@ def surface_distance(points: Floats, positions: Floats, triangles: Ints, spacing
 
 
 def surface_error(
-    positions: Floats, triangles: Ints, others: Floats, other_triangles: Ints, spacing_m: float = 0.008
+    positions: Floats, triangles: Ints, others: Floats, other_triangles: Ints, spacing_m: float | None = None
 ) -> SurfaceError:
-    """How far two surfaces are apart, measured from samples on each to the other one."""
+    """How far two surfaces are apart, measured from samples on each to the other one: all corners, and every ``spacing_m``,
+    which is a hundredth of their size if not given.
+    """
+    if spacing_m is None:
+        both = np.concatenate([np.asarray(positions)[triangles], np.asarray(others)[other_triangles]]).reshape(-1, 3)
+        spacing_m = max(float(np.linalg.norm(np.ptp(both, axis=0))) / 100, 1e-9)
     one, _ = surface_samples(positions, triangles, spacing_m)
     other, _ = surface_samples(others, other_triangles, spacing_m)
     apart = np.concatenate(

@@ -193,6 +193,8 @@ def _arrive(s: Steering, roots: Floats) -> None:
         sin, cos = np.sin(yaw), np.cos(yaw)
         x, z = s.slot[led].T
         s.goals[led] = roots[s.leader[led], :2] + np.stack([cos * x + sin * z, cos * z - sin * x], axis=1)
+        out = np.linalg.norm(s.goals, axis=1, keepdims=True)
+        s.goals *= np.minimum(1.0, (s.radius_m - _EDGE_M) / np.maximum(out, 1e-9))
     gap = np.linalg.norm(s.goals - roots[:, :2], axis=1)
     s.blocked_s = np.where((s.speed == 0) & (s.resting_s == 0) & (gap > 1.0), s.blocked_s + DECIDE_S, 0.0)
     there = (gap < 0.7) | (s.blocked_s > 4.0)
@@ -241,7 +243,7 @@ def _spread(s: Steering, roots: Floats, near: Ints, away: Floats) -> None:
     most = np.where(s.speed > 0, _PUSH_M, 0.25 * _PUSH_M)[:, None]  # on who stands it would be seen
     roots[:, :2] += push * np.minimum(1.0, most / np.maximum(length, 1e-12))
     out = np.linalg.norm(roots[:, :2], axis=1, keepdims=True)
-    roots[:, :2] *= np.minimum(1.0, np.maximum(s.radius_m, out - 0.05) / np.maximum(out, 1e-12))
+    roots[:, :2] *= np.minimum(1.0, np.maximum(s.radius_m, out - 0.1) / np.maximum(out, 1e-12))
 
 
 def _drive(s: Steering, roots: Floats, near: Ints, away: Floats) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
@@ -92,7 +93,7 @@ class CrowdShow:
         self.detail = lod.prepare(self.levels, count)
         self.seed = seed
         self.time_s, self._frames = 0.0, 0
-        self._steer_us = self._animate_us = 0.0
+        self._costs: deque[tuple[float, float]] = deque(maxlen=30)
 
     def ready(self) -> bytes:
         """Everything about the crowd that stays as it is."""
@@ -163,6 +164,7 @@ class CrowdShow:
         updates = lod.matrices(self.detail, self.crowd.models, self.crowd.roots, self._due(dt_s), self.unit_m)
         body = Body()
         self._frames += 1
+        steer_us, animate_us = np.median(self._costs, axis=0).tolist()  # the first step also loads the kernels
         header = messages.CrowdFrame(
             type="crowd_frame",
             crowd=self.number,
@@ -175,8 +177,8 @@ class CrowdShow:
                 messages.CrowdUpdate(body.add(who, "uint16"), body.add(small.view(np.uint16), "uint16"))
                 for who, small in updates
             ],
-            steer_us=self._steer_us,
-            animate_us=self._animate_us,
+            steer_us=steer_us,
+            animate_us=animate_us,
             pack_us=1e6 * (perf_counter() - moved + chosen - began),
         )
         return pack(header, body)
@@ -204,9 +206,7 @@ class CrowdShow:
         crowds.animate_crowd(crowd, dt_s)
         self.time_s += dt_s
         done = perf_counter()
-        share = 0.1 if self._frames else 1.0
-        self._steer_us += share * (1e6 * (steered - began) - self._steer_us)
-        self._animate_us += share * (1e6 * (done - steered) - self._animate_us)
+        self._costs.append((1e6 * (steered - began), 1e6 * (done - steered)))
 
     def _drop_joints(self) -> None:
         """A block of the crowd needs the joints of its finest character."""
@@ -262,9 +262,14 @@ class CrowdRunner:
     """The clock of a crowd, in a thread; methods may be called from any thread, ``send`` is called from the crowd's own."""
 
     def __init__(
-        self, make: Callable[[], CrowdShow], send: Callable[[bytes], None], failed: Callable[[str], None]
+        self,
+        make: Callable[[], CrowdShow],
+        send: Callable[[bytes], None],
+        failed: Callable[[str], None],
+        before: CrowdRunner | None = None,
     ) -> None:
-        self._make, self._send, self._failed = make, send, failed
+        """``before`` goes on until this crowd is made, and ends then."""
+        self._make, self._send, self._failed, self._before = make, send, failed, before
         self._changed = threading.Condition()
         self._closed = False
         self._paused, self._speed, self._rate_hz = False, 1.0, 30.0
@@ -297,9 +302,12 @@ class CrowdRunner:
     def acknowledge(self, number: int) -> None:
         """Frames up to this one were drawn; numbers that were never sent are ignored."""
         with self._changed:
+            before = self._before
             if self._acknowledged < number <= self._sent:
                 self._acknowledged = number
                 self._changed.notify()
+        if before is not None:
+            before.acknowledge(number)
 
     def pace(self, paused: bool, speed: float, rate_hz: float) -> None:
         """Stop or slow time, or make fewer steps of it."""
@@ -313,9 +321,12 @@ class CrowdRunner:
     def look(self, eye: list[float], fov_deg: float) -> None:
         """The camera is here now."""
         with self._changed:
+            before = self._before
             self._view = View((eye[0], eye[1], eye[2]), min(max(fov_deg, 1.0), 170.0))
             self._looked = True
             self._changed.notify()
+        if before is not None:
+            before.look(eye, fov_deg)
 
     def behave(self, behaviour: str) -> None:
         """Do something else; an unknown behaviour is ignored."""
@@ -325,7 +336,15 @@ class CrowdRunner:
 
     def _run(self) -> None:
         try:
-            show = self._make()
+            try:
+                show = self._make()
+            finally:
+                with self._changed:
+                    before, self._before = self._before, None
+                if before is not None:
+                    before.close()
+            if self._closed:
+                return
             self._send(show.ready())
             self._last = self._due = perf_counter()
             while self._one(show):
@@ -391,11 +410,8 @@ async def crowd_events(session: Session, socket: WebSocket) -> None:
         async for text in socket.iter_text():
             request = parse_crowd_request(text)
             if isinstance(request, messages.CrowdOpen):
-                if runner is not None:
-                    runner.close()
-                while not waiting.empty():
-                    waiting.get_nowait()
-                runner = _opened(session, request, later, failed)
+                # What is shown goes on until the new crowd is there.
+                runner = _opened(session, request, later, failed, runner)
             elif request is None or (isinstance(request, messages.CrowdView) and len(request.eye) != 3):
                 await socket.close(1003, "unknown message")
                 break
@@ -423,16 +439,22 @@ def _tell(runner: CrowdRunner, request: messages.CrowdRequest) -> None:
 
 
 def _opened(
-    session: Session, request: messages.CrowdOpen, send: Callable[[bytes], None], failed: Callable[[str], None]
+    session: Session,
+    request: messages.CrowdOpen,
+    send: Callable[[bytes], None],
+    failed: Callable[[str], None],
+    before: CrowdRunner | None,
 ) -> CrowdRunner | None:
     opened = session.graphs.get(request.graph)
     if opened is None:
+        if before is not None:
+            before.close()
         failed(f"no graph '{request.graph[:60]}' is open")
         return None
 
     def make() -> CrowdShow:
         return CrowdShow(opened.stage(), opened.entry.name, request.count, request.behaviour, request.seed)
 
-    runner = CrowdRunner(make, send, failed)
+    runner = CrowdRunner(make, send, failed, before)
     runner.start()
     return runner
