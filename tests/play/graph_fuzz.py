@@ -1,8 +1,8 @@
 """Random graphs, random inputs, random steps: never a crash, never a lost event, never a pose that is not one.
 
-As a script it goes on for as long as it is told to, on the scalar logic alone or with poses:
+As a script it goes on for as long as it is told to, on the scalar logic alone, with poses, or as crowds:
 
-    python tests/play/graph_fuzz.py --steps 10000000 [--poses] [--seed 1]
+    python tests/play/graph_fuzz.py --steps 10000000 [--poses | --crowd] [--seed 1]
 """
 
 from __future__ import annotations
@@ -225,17 +225,84 @@ def fuzz(rng: np.random.Generator, graphs: int, steps: int, poses: bool) -> dict
     return totals
 
 
+class CrowdLedger:
+    """The same accounts for a whole crowd: per clip node and character, events against the way that the clip has gone."""
+
+    def __init__(self, crowd: g.GraphCrowd) -> None:
+        self.crowd = crowd
+        self.clips = [(i, n) for i, n in enumerate(crowd.tables.nodes) if isinstance(n, RtClip) and not n.warp]
+        self.fired = self.checked = self.changes = 0
+        self.places = [self._place(n) for _, n in self.clips]
+
+    def _place(self, node: RtClip) -> Any:
+        return self.crowd.ints[:, node.loop] * node.asset.duration_s + self.crowd.floats[:, node.time]
+
+    def check(self) -> None:
+        """Each node that moved has fired all that lay on its way, or nothing, where nobody saw it."""
+        from keypose.kernels import graphtables as k
+
+        crowd, counts = self.crowd, np.zeros((len(self.crowd.tables.nodes), self.crowd.count), int)
+        changed = np.zeros(crowd.count, bool)
+        for worker in crowd.workers:
+            rows = worker.parts["queue"].reshape(-1, k.QUEUE_ROW)[: worker.numbers[k.QUEUED]]
+            events = rows[rows[:, 1] == k.EVENT]
+            np.add.at(counts, (events[:, 3], events[:, 0]), 1)
+            changed[rows[rows[:, 1] != k.EVENT][:, 0]] = True
+            self.fired += len(events)
+            self.changes += len(rows) - len(events)
+        for n, (i, node) in enumerate(self.clips):
+            a, b = self.places[n], self._place(node)
+            d = node.asset.duration_s
+            least, most = np.zeros(crowd.count, int), np.zeros(crowd.count, int)
+            for t in (e[0] for e in node.asset.events):
+                low, high, margin = np.minimum(a, b), np.maximum(a, b), 1e-7 * (1 + np.abs(a) + np.abs(b))
+                inside = np.ceil((high - margin - t) / d) - np.floor((low + margin - t) / d) - 1
+                around = np.ceil((high + margin - t) / d) - np.floor((low - margin - t) / d) - 1
+                least += np.maximum(inside, 0).astype(int)
+                most += np.where(a != b, np.maximum(around, 0), 0).astype(int)
+            right = (counts[i] <= most) & ((counts[i] >= least) | (counts[i] == 0))
+            wrong = np.flatnonzero(~(right | changed))
+            assert len(wrong) == 0, (node.name, wrong[:3], counts[i][wrong[:3]], least[wrong[:3]], most[wrong[:3]])
+            self.checked += int(np.sum((counts[i] > 0) & ~changed))
+            self.places[n] = b
+
+
+def fuzz_crowds(rng: np.random.Generator, graphs: int, characters: int, steps: int) -> dict[str, int]:
+    """Steps of crowds of random graphs; raises AssertionError where something is wrong."""
+    totals = {"steps": 0, "events": 0, "checked": 0, "changes": 0}
+    for _ in range(graphs):
+        program = g.build(random_graph(rng, int(rng.integers(1, 24))), skeleton(), clips())
+        crowd = g.prepare_crowd(program, characters)
+        ledger = CrowdLedger(crowd)
+        for _ in range(steps):
+            for name, value in random_inputs(rng).items():
+                some = np.flatnonzero(rng.random(characters) < 0.3)
+                spread = value if isinstance(value, (bool, int)) else value * rng.random((len(some), *np.shape(value)))
+                g.set_parameter(crowd, name, spread, some)
+            g.animate_crowd(crowd, float(rng.choice(STEPS_S[1:])))
+            ledger.check()
+            assert np.all(np.isfinite(crowd.floats)) and np.all(np.isfinite(crowd.roots))
+            assert np.all(np.isfinite(crowd.models)) and np.all(np.isfinite(crowd.morph_weights))
+        totals["steps"] += steps * characters
+        totals["events"] += ledger.fired
+        totals["checked"] += ledger.checked
+        totals["changes"] += ledger.changes
+    return totals
+
+
 def main() -> None:
     """Fuzz for a number of steps and print what was seen."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--poses", action="store_true")
+    parser.add_argument("--crowd", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng, done, began = np.random.default_rng(options.seed), 0, time.perf_counter()
     totals: dict[str, int] = {}
     while done < options.steps:
-        some = fuzz(rng, 10, min(1000, options.steps - done), options.poses)
+        few = min(1000, options.steps - done)
+        some = fuzz_crowds(rng, 5, few, 200) if options.crowd else fuzz(rng, 10, few, options.poses)
         done += some["steps"]
         totals = {key: totals.get(key, 0) + value for key, value in some.items()}
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -7,7 +7,7 @@ import tracemalloc
 
 import numpy as np
 from graph_fixtures import clips, skeleton
-from graph_fuzz import fuzz, random_graph, random_inputs
+from graph_fuzz import fuzz, fuzz_crowds, random_graph, random_inputs
 
 from keypose.play import graph as g
 
@@ -20,6 +20,11 @@ def test_random_graphs_lose_no_event() -> None:
 def test_random_graphs_give_poses() -> None:
     totals = fuzz(np.random.default_rng(12), graphs=30, steps=60, poses=True)
     assert totals["changes"] > 50
+
+
+def test_crowds_of_random_graphs_lose_no_event() -> None:
+    totals = fuzz_crowds(np.random.default_rng(15), graphs=8, characters=300, steps=60)
+    assert totals["checked"] > 1000 and totals["events"] > 10_000 and totals["changes"] > 500
 
 
 def test_random_graphs_go_through_json() -> None:
