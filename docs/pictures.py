@@ -1,9 +1,18 @@
-"""Draws the pictures of the docs: ``python docs/pictures.py`` (needs keypose installed; writes docs/images)."""
+"""Draws the pictures of the docs: ``python docs/pictures.py`` (needs keypose installed; writes docs/images).
+
+The pages of the studio are photographed in a real browser: those need Playwright and Chromium.
+"""
 
 from __future__ import annotations
 
+import io as streams
+import shutil
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +88,103 @@ def faces() -> None:
     save(np.concatenate(rows, axis=0), "faces.jpg")
 
 
+@contextmanager
+def studio_page(*, graph: bool, theme: str) -> Generator[Any]:
+    """The studio on the built-in human or graph, in a browser without a window."""
+    from playwright.sync_api import sync_playwright
+
+    from keypose.studio import StudioServer
+    from keypose.studio.graphs import built_in
+
+    listening = threading.Event()
+    scenes = () if graph else (("sample:human", samples.load("human")),)
+    graphs = (built_in("locomotion"),) if graph else ()
+    server = StudioServer(scenes, graphs=graphs, ready=lambda _: listening.set())
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    listening.wait(20)
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(
+                executable_path=shutil.which("chromium"), args=["--no-sandbox", "--use-angle=swiftshader"]
+            )
+            page = browser.new_page(viewport={"width": 1440, "height": 810}, color_scheme=theme)  # type: ignore[arg-type]
+            page.goto(server.url)
+            until(page, "Boolean(window.keypose?.test.ready())")
+            yield page
+            browser.close()
+    finally:
+        server.stop()
+        thread.join(10)
+
+
+def until(page: Any, expression: str) -> None:
+    """Wait until a page says so; its policy forbids Playwright's own way to wait."""
+    for _ in range(1200):
+        if page.evaluate(expression):
+            return
+        page.wait_for_timeout(50)
+    raise TimeoutError(expression)
+
+
+def photograph(page: Any, name: str) -> None:
+    """The page as it is."""
+    from PIL import Image
+
+    page.wait_for_timeout(1500)
+    save(np.asarray(Image.open(streams.BytesIO(page.screenshot())).convert("RGB")), name)
+
+
+def view_page() -> None:
+    """The studio's first page."""
+    with studio_page(graph=False, theme="dark") as page:
+        until(page, "keypose.studio.time > 0.2")
+        page.evaluate("keypose.studio.pause(); keypose.studio.seekFrame(19); keypose.studio.show('ghosts', true)")
+        page.evaluate("keypose.studio.select(keypose.studio.active.rig.names.indexOf('RightForeArm'))")
+        photograph(page, "studio.jpg")
+
+
+def play_page() -> None:
+    """The play page in the middle of a jump's beginning, after a walk and a wave; made step by step, so always the same."""
+    keyboard: Any = None
+
+    def steps(count: int) -> None:
+        for _ in range(count):
+            number = page.evaluate("keypose.test.play().number")
+            keyboard.press(".")
+            until(page, f"keypose.test.play().number > {number}")
+
+    with studio_page(graph=True, theme="dark") as page:
+        keyboard = page.keyboard
+        until(page, "keypose.test.play().number > 3")
+        keyboard.press("p")
+        keyboard.press("Backspace")
+        until(page, "keypose.test.play().time < 0.1")
+        page.evaluate("keypose.test.drawNothing(true)")
+        steps(40)
+        keyboard.down("w")
+        steps(130)
+        keyboard.press("e")
+        steps(110)
+        keyboard.press("e")
+        keyboard.press("Shift+w")
+        keyboard.down("Shift")
+        keyboard.down("w")
+        steps(90)
+        page.evaluate("keypose.play.set({speed: [2.4]})")
+        steps(40)
+        keyboard.press(" ")
+        page.evaluate("keypose.test.drawNothing(false)")
+        page.mouse.move(620, 500)
+        page.mouse.down()
+        page.mouse.move(742, 506, steps=4)
+        page.mouse.up()
+        page.mouse.move(620, 420)
+        steps(9)
+        page.evaluate("keypose.play.node = 6")
+        photograph(page, "play.jpg")
+
+
 def save(picture: np.ndarray, name: str) -> None:
     """Write a picture, small enough for a page."""
     from PIL import Image
@@ -92,3 +198,5 @@ if __name__ == "__main__":
     performances()
     turnaround()
     faces()
+    view_page()
+    play_page()

@@ -42,7 +42,7 @@ export function readColors(element: Element): Colors {
     kinds: {
       crossfade: dark ? "#5cc8ff" : "#0077b6",
       frozen: dark ? "#c9d6e8" : "#5b6b80",
-      inertial: get("--accent"),
+      inertial: dark ? "#b9e651" : "#4f7f00",
       dead: dark ? "#ff7fa3" : "#c2255c",
     },
   };

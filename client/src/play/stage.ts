@@ -137,7 +137,7 @@ export class PlayStage {
     this.fitCanvas();
   }
 
-  /** Where the machine cannot keep up, less is drawn. */
+  /** Where the machine cannot keep up, moving pictures are drawn smaller; as soon as time stands, in full. */
   private adapt(elapsed: number): void {
     this.slow = elapsed > 0.03 ? this.slow + 1 : Math.max(0, this.slow - 2);
     if (this.slow > 10 && this.quality > 0.5) this.setQuality(this.quality - 0.25);
@@ -151,6 +151,7 @@ export class PlayStage {
     const elapsed = Math.min(0.25, Math.max(0, (now - this.last) / 1000));
     this.last = now;
     const { playing } = this;
+    if (play.paused && this.quality < 1) this.setQuality(1);
     if (!playing) {
       if (this.dirty) this.draw();
       this.dirty = false;
