@@ -378,6 +378,9 @@ def test_a_graph_is_dropped_and_played_and_a_broken_one_says_why(start: Start, v
     drop(page, ("mine.json", data))
     playing(page)
     assert now(page)["graph"] == "dropped:mine.json"
+    drop(page, ("other.json", data.replace(b'"name": "mine"', b'"name": "other"')))
+    page.until(lambda: now(page)["graph"] == "dropped:other.json", "the newest one plays")
+    page.until(lambda: now(page)["playing"] and now(page)["time"] < 3, "from its beginning")
     page.page.reload()
     page.ready()
     page.until(lambda: now(page)["page"] == "play", "the page is kept over a reload")

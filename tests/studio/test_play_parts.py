@@ -181,6 +181,22 @@ def test_a_graph_file_finds_its_clips_beside_itself(tmp_path: Path, monkeypatch:
     assert open_graph("game/my.json", "file:0").stage().program.assets[0].name == "sway"
 
 
+def test_a_graph_file_that_was_changed_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "my.json"
+    g.save(g.Graph({"a": g.RestNode()}, "a", character="sample:human"), path)
+    opened = open_graph(str(path), "file:0")
+    assert opened.current() is opened
+    g.save(g.Graph({"bee": g.RestNode()}, "bee", character="sample:human"), path)
+    again = opened.current()
+    assert (again.entry, again.definition.output) == (opened.entry, "bee")
+    path.write_text("{")
+    with pytest.raises(FormatError, match=r"my\.json: line 1"):
+        again.current()
+    path.unlink()
+    with pytest.raises(FormatError, match="No such file"):
+        again.current()
+
+
 @pytest.mark.parametrize(
     ("change", "what"),
     [

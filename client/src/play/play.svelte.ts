@@ -74,10 +74,12 @@ export class Play {
     studio.messageListeners.add((message, container) => this.receive(message, container));
   }
 
-  /** Begin to play, if nothing plays yet. */
-  enter(): void {
-    if (!this.playing && !this.opening && !this.refused && studio.firstGraph) this.open(studio.firstGraph);
+  /** Play what the page begins with, or what was just dropped on it; once, so that another choice stays. */
+  enter(first: string): void {
+    if (first && first !== this.entered) this.open(first);
+    this.entered = first;
   }
+  private entered = "";
 
   open(graph: string): void {
     this.graphId = graph;

@@ -36,6 +36,7 @@ const KIND_NAMES: Record<string, string> = {
 export const kindName = (kind: string): string => KIND_NAMES[kind] ?? kind;
 
 const SEEN = 0.002;
+const READABLE = 0.45; // smaller than this there is no text
 
 /** The view that shows the whole tree, but never larger than it is meant. */
 export function fitTree(tree: Tree, width: number, height: number): TreeView {
@@ -61,7 +62,7 @@ export function drawTree(canvas: HTMLCanvasElement, width: number, height: numbe
   for (const node of tree.nodes) box(c, colors, state, node);
 }
 
-function edge(c: CanvasRenderingContext2D, colors: Colors, { tree, frame }: TreeState, node: TreeNode): void {
+function edge(c: CanvasRenderingContext2D, colors: Colors, { tree, frame, view: { scale } }: TreeState, node: TreeNode): void {
   const parent = tree.nodes[node.data.parent];
   const x0 = parent.x, y0 = parent.y + BOX.height / 2, x1 = node.x, y1 = node.y - BOX.height / 2;
   const flow = reach[node.index];
@@ -77,7 +78,7 @@ function edge(c: CanvasRenderingContext2D, colors: Colors, { tree, frame }: Tree
   c.setLineDash([]);
   c.globalAlpha = 1;
   const mixing = parent.data.kind.startsWith("blend") || (node.data.slot !== "base" && (parent.data.kind === "layer" || parent.data.kind === "additive"));
-  if (mixing && frame) {
+  if (mixing && frame && scale >= READABLE) {
     const share = frame.shares[node.index];
     c.font = `9px ${colors.mono}`;
     c.textAlign = "center";
@@ -126,7 +127,7 @@ function transition(c: CanvasRenderingContext2D, colors: Colors, tree: Tree, fra
   c.fill();
 }
 
-function box(c: CanvasRenderingContext2D, colors: Colors, { frame, selected, hovered, tree }: TreeState, node: TreeNode): void {
+function box(c: CanvasRenderingContext2D, colors: Colors, { frame, selected, hovered, tree, view: { scale } }: TreeState, node: TreeNode): void {
   const { width: w, height: h } = BOX;
   const x = node.x - w / 2, y = node.y - h / 2;
   const flow = reach[node.index], active = flow > SEEN;
@@ -160,6 +161,10 @@ function box(c: CanvasRenderingContext2D, colors: Colors, { frame, selected, hov
   c.lineWidth = node.index === selected ? 1.8 : 1;
   c.strokeStyle = node.index === selected ? colors.accent : current && active ? colors.text : colors.strong;
   c.stroke();
+  if (scale < READABLE) {
+    c.globalAlpha = 1;
+    return;
+  }
   c.textAlign = "center";
   c.font = `600 11.5px ${colors.sans}`;
   c.fillStyle = active ? colors.text : colors.muted;

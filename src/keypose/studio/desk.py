@@ -21,6 +21,9 @@ MOST_PLAYERS = 8
 
 TAKES_KEPT = 4
 
+STAGES_KEPT = 2 * MOST_PLAYERS
+"""Characters that pages may fetch; a file that is changed again and again leaves old ones behind."""
+
 
 class PlayDesk:
     """One page's player, from its opening to the end of the connection."""
@@ -88,6 +91,7 @@ class PlayDesk:
         job = f"play {number}"
         self._put(messages.Progress("progress", job, f"Preparing {opened.entry.name}", None, done=False), job)
         try:
+            opened = self._session.graphs[id] = await asyncio.to_thread(opened.current)
             stage = await asyncio.to_thread(opened.stage)
         except (KeyposeError, OSError, MemoryError) as error:
             self._session.desks.discard(self)
@@ -96,7 +100,11 @@ class PlayDesk:
         finally:
             self._put(messages.Progress("progress", job, "", 1.0, done=True), job)
         player = Player(number, opened, stage)
-        self._session.stages[stage.scene.id] = stage.payload
+        stages = self._session.stages
+        stages.pop(stage.scene.id, None)
+        stages[stage.scene.id] = stage.payload
+        while len(stages) > STAGES_KEPT:
+            del stages[next(iter(stages))]
         self._put(player.ready())
         loop = asyncio.get_running_loop()
 

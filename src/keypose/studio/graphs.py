@@ -33,9 +33,12 @@ class Stage:
 class OpenedGraph:
     """A graph that pages can play. What it needs is read and built when `stage` is first called."""
 
-    def __init__(self, id: str, name: str, definition: g.Graph, open_scene: Opener) -> None:
+    def __init__(
+        self, id: str, name: str, definition: g.Graph, open_scene: Opener, *, path: Path | None = None
+    ) -> None:
         self.entry = GraphEntry(id, name)
         self.definition = definition
+        self._path, self._seen = path, _stamp(path)
         self._open_scene = open_scene
         self._stage: Stage | None = None
         self._lock = threading.Lock()
@@ -50,6 +53,16 @@ class OpenedGraph:
             if self._stage is None:
                 self._stage = self._build()
             return self._stage
+
+    def current(self) -> OpenedGraph:
+        """This graph, or what its file has become since it was read (for graphs that have a file to stay).
+
+        Raises:
+            FormatError: where the file is no graph any more.
+        """
+        if self._path is None or _stamp(self._path) == self._seen:
+            return self
+        return graph_file(self.entry.id, self._path)
 
     def _build(self) -> Stage:
         # whoever plays wants to see the character travel, also where a game applies the root itself
@@ -83,7 +96,8 @@ def graph_file(id: str, path: Path, *, only_beside: bool = False) -> OpenedGraph
     Raises:
         FormatError: where it is no graph; the message names file, node and field.
     """
-    return OpenedGraph(id, path.name, g.load(path), scene_finder(path.parent, only_beside=only_beside))
+    finder = scene_finder(path.parent, only_beside=only_beside)
+    return OpenedGraph(id, path.name, g.load(path), finder, path=None if only_beside else path)
 
 
 def open_graph(reference: str, id: str) -> OpenedGraph:
@@ -135,6 +149,15 @@ def scene_finder(folder: Path, *, only_beside: bool) -> Opener:
         return open_scene(str(beside if beside.exists() else reference))
 
     return opened
+
+
+def _stamp(path: Path | None) -> tuple[int, int] | None:
+    """When a file was changed and how long it is; None where it is not there."""
+    try:
+        found = None if path is None else path.stat()
+    except OSError:
+        return None
+    return None if found is None else (found.st_mtime_ns, found.st_size)
 
 
 def _travelling(graph: g.Graph) -> g.Graph:
