@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from keypose import evaluate, io, play
-from keypose.bench import data, graphs
+from keypose.bench import data, detail, graphs
 from keypose.bench.suite import Suite
 from keypose.kernels import crowd as crowd_kernel
 from keypose.kernels.decode import FRAME_COUNT, decode_pose, frame_at
@@ -35,6 +35,7 @@ def add(suite: Suite) -> None:
     _decompression(suite)
     _crowds(suite)
     graphs.add(suite)
+    detail.add(suite)
 
 
 def _compression(suite: Suite) -> None:

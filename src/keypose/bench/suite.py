@@ -28,7 +28,15 @@ _REFERENCE_ROUNDS = 3
 # seconds per item -> what is shown
 _PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "us/character": 1e6, "ns/vertex": 1e9, "ms": 1e3}
 _LESS = {"mm", "cm/s"}
-_PER_SECOND = {"MB/s": 1e-6, "GB/s": 1e-9, "Gflop/s": 1e-9, "frames/s": 1.0, "slerps/s": 1.0, "characters": 1 / 60}
+_PER_SECOND = {
+    "MB/s": 1e-6,
+    "GB/s": 1e-9,
+    "Gflop/s": 1e-9,
+    "frames/s": 1.0,
+    "slerps/s": 1.0,
+    "characters": 1 / 60,
+    "characters/ms": 1e-3,
+}
 
 
 @dataclass(frozen=True, slots=True)
