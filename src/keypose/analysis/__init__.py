@@ -1,6 +1,15 @@
-"""Measurements on motion: where feet touch the ground, what a conversion changed."""
+"""Measurements: where feet touch the ground, what a conversion changed, what is wrong with a file."""
 
 from keypose.analysis.contacts import contact_changes, find_contacts
+from keypose.analysis.doctor import Examination, Finding, examine
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 
-__all__ = ["RoundtripError", "contact_changes", "find_contacts", "roundtrip_error"]
+__all__ = [
+    "Examination",
+    "Finding",
+    "RoundtripError",
+    "contact_changes",
+    "examine",
+    "find_contacts",
+    "roundtrip_error",
+]

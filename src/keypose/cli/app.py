@@ -132,6 +132,27 @@ def info(
 
 @app.command(
     epilog=_examples(
+        "keypose check walk.bvh",
+        "keypose check character.glb --json | jq .findings",
+        "keypose check take.bvh --strict [dim]# exit code 1 where anything is wrong[/dim]",
+    )
+)
+def check(
+    file: OneInput,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Fail where there is a warning.")] = False,
+    unit: UnitOption = None,
+    up: UpOption = None,
+) -> None:
+    """Say how a file was understood (unit, axes, facing, rest pose, size, rates), and what is wrong with it."""
+    from keypose.cli.check import print_check
+
+    if not print_check(file, as_json=json, unit=unit, up=up) and strict:
+        raise typer.Exit(1)
+
+
+@app.command(
+    epilog=_examples(
         "keypose convert take.bvh take.glb",
         "keypose convert walk.bvh character.glb walking.glb",
         "keypose convert character.glb run.bvh --clip Run --rate 60",
