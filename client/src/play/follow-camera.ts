@@ -16,6 +16,8 @@ export class FollowCamera {
   private pitch = 0.21;
   private distance = 5;
   private height = 1.8;
+  private middle = 0.9;
+  private hips = 0.9;
   following = true;
   private readonly target = new THREE.Vector3(0, 0.95, 0);
   private held = false;
@@ -29,13 +31,15 @@ export class FollowCamera {
     this.camera.updateProjectionMatrix();
   }
 
-  /** Stand behind a character of this height. */
-  fit(height: number, x: number, z: number, yaw: number): void {
+  /** Stand behind a character of this height, its middle `middle` over the ground and its hips `hips`. */
+  fit(height: number, middle: number, hips: number, x: number, z: number, yaw: number): void {
     this.height = height;
+    this.middle = middle;
+    this.hips = hips;
     this.distance = 2.8 * height;
     this.pitch = 0.21;
     this.heading = yaw;
-    this.target.set(x, 0.53 * height, z);
+    this.target.set(x, middle, z);
     this.settled = false;
   }
 
@@ -70,7 +74,7 @@ export class FollowCamera {
     if (this.following) {
       const glide = 1 - 2 ** (-dt / GLIDE_HALF_LIFE_S), rise = 1 - 2 ** (-dt / RISE_HALF_LIFE_S);
       const dx = point.x - this.target.x, dz = point.z - this.target.z;
-      const dy = 0.75 * point.y + 0.14 * this.height - this.target.y;
+      const dy = this.middle + 0.75 * (point.y - this.hips) - this.target.y;
       if (Math.hypot(dx, dz) > 6 * this.height) this.target.set(point.x, this.target.y, point.z);
       else this.target.set(this.target.x + glide * dx, this.target.y + rise * dy, this.target.z + glide * dz);
       moved ||= Math.hypot(dx, dy, dz) > 1e-5;

@@ -41,7 +41,7 @@ export class Play {
   bones = $state(false);
   tab = $state("character");
   left = $state(innerWidth >= 1000);
-  right = $state(innerWidth >= 780);
+  right = $state(innerWidth >= 780 && innerHeight >= 520);
   hints = $state(true);
   prints = $state(true);
   /** Which joint is explained, and which node is shown in detail. */

@@ -1,6 +1,7 @@
 // The stage of the play page: it draws the newest step of the graph, drives it, and says when it was drawn.
 
 import * as THREE from "three";
+import type { Actor } from "../view/actor";
 import { Ground } from "../view/ground";
 import { Lights } from "../view/lights";
 import { PALETTES, type Theme } from "../view/palette";
@@ -11,7 +12,7 @@ import type { Frame } from "./frame";
 import { play, type Playing } from "./play.svelte";
 
 const SAMPLES = 120;
-const GROUND_SIZE = 6; // of the grid that fades, in the units of Ground.fit: 27 m around a person
+const GROUND_SIZE = 5; // of the grid that fades, in the units of Ground.fit: 22 m around a person
 const PAD_ORBIT = 2.4; // radians per second
 
 export class PlayStage {
@@ -38,6 +39,7 @@ export class PlayStage {
   private quality = 1;
   private slow = 0;
   private size: [number, number] = [0, 0];
+  private tall = 1.8;
   private turnOf = 0;
   private readonly hips = new THREE.Vector3();
   private readonly point = new THREE.Vector3();
@@ -87,10 +89,16 @@ export class PlayStage {
     if (playing) {
       this.scene.add(playing.actor.root);
       this.overlay.add(playing.actor.overlay);
-      this.view.fit(playing.actor.height, 0, 0, 0);
+      this.frameActor(playing.actor, 0, 0, 0);
       this.paint();
     }
     this.dirty = true;
+  }
+
+  private frameActor({ bounds, measuredRoot }: Actor, x: number, z: number, yaw: number): void {
+    const size = bounds.getSize(this.point);
+    this.tall = Math.max(size.y, 0.6 * size.x, 0.6 * size.z, 1e-3);
+    this.view.fit(this.tall, (bounds.min.y + bounds.max.y) / 2, measuredRoot.y, x, z, yaw);
   }
 
   setTheme(theme: Theme): void {
@@ -235,7 +243,7 @@ export class PlayStage {
     const { root, time_s: time } = frame.data;
     if (before && time < before.time_s - 1e-6) {
       this.prints.clear();
-      this.view.fit(actor.height, root[0], root[1], root[2]);
+      this.frameActor(actor, root[0], root[1], root[2]);
       this.groundSpeed = 0;
     } else if (before && time > before.time_s) {
       const passed = time - before.time_s;
@@ -266,9 +274,9 @@ export class PlayStage {
   }
 
   private draw(): void {
-    const { renderer, playing } = this;
+    const { renderer } = this;
     if (this.size[0] === 0 || this.blank) return;
-    const height = playing?.actor.height ?? 1.8;
+    const height = this.tall;
     this.point.set(this.hips.x, Math.max(0.5 * height, this.hips.y), this.hips.z);
     this.lights.fit(this.point, 1.25 * height);
     this.ground.fit(this.point, (GROUND_SIZE * height) / 1.8);

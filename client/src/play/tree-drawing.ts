@@ -35,8 +35,9 @@ const KIND_NAMES: Record<string, string> = {
 };
 export const kindName = (kind: string): string => KIND_NAMES[kind] ?? kind;
 
-const SEEN = 0.002;
-const READABLE = 0.45; // smaller than this there is no text
+export const SEEN = 0.002;
+/** Smaller than this there is no text. */
+export const READABLE = 0.5;
 
 /** The view that shows the whole tree, but never larger than it is meant. */
 export function fitTree(tree: Tree, width: number, height: number): TreeView {
@@ -47,19 +48,25 @@ export function fitTree(tree: Tree, width: number, height: number): TreeView {
 
 let reach = new Float32Array(0);
 
-export function drawTree(canvas: HTMLCanvasElement, width: number, height: number, colors: Colors, state: TreeState): void {
-  const c = prepare(canvas, width, height);
-  const { tree, frame, view } = state;
+/** How much of the output each node gives; good until the next call. */
+export function reachOf(tree: Tree, frame: Frame | null): Float32Array {
   if (reach.length !== tree.nodes.length) reach = new Float32Array(tree.nodes.length);
   if (frame) tree.reach(frame.shares, reach);
   else reach.fill(0);
+  return reach;
+}
+
+export function drawTree(canvas: HTMLCanvasElement, width: number, height: number, colors: Colors, state: TreeState): void {
+  const c = prepare(canvas, width, height);
+  const { tree, frame, view } = state;
+  reachOf(tree, frame);
   c.translate(view.x, view.y);
   c.scale(view.scale, view.scale);
   c.lineCap = "round";
   c.textBaseline = "middle";
-  for (const node of tree.nodes) if (node.data.parent >= 0) edge(c, colors, state, node);
+  for (const node of tree.nodes) if (node.shown && node.data.parent >= 0) edge(c, colors, state, node);
   for (const machine of tree.machines) if (frame) transition(c, colors, tree, frame, machine);
-  for (const node of tree.nodes) box(c, colors, state, node);
+  for (const node of tree.nodes) if (node.shown) box(c, colors, state, node);
 }
 
 function edge(c: CanvasRenderingContext2D, colors: Colors, { tree, frame, view: { scale } }: TreeState, node: TreeNode): void {
@@ -98,7 +105,7 @@ function transition(c: CanvasRenderingContext2D, colors: Colors, tree: Tree, fra
   const kind = TRANSITION_KINDS[frame.machines[row + 2]];
   if (!kind) return;
   const to = tree.stateNode(machine, frame.machines[row]), from = tree.stateNode(machine, frame.machines[row + 1]);
-  if (!to || !from || to === from) return;
+  if (!to?.shown || !from?.shown || to === from) return;
   const share = frame.machines[row + 3];
   const y = to.y - BOX.height / 2, lift = 15;
   const point = (u: number): [number, number] => [
@@ -171,11 +178,11 @@ function box(c: CanvasRenderingContext2D, colors: Colors, { frame, selected, hov
   c.fillText(fitted(c, node.data.name, w - 13), node.x + 1, y + 10);
   c.font = `9px ${colors.sans}`;
   c.fillStyle = colors.faint;
-  c.fillText(kindName(node.data.kind), node.x + 1, y + 21.5);
+  c.fillText(node.folded > 0 ? `${kindName(node.data.kind)} +${node.folded}` : kindName(node.data.kind), node.x + 1, y + 21.5);
   c.globalAlpha = 1;
 }
 
 export function nodeAt(tree: Tree, view: TreeView, x: number, y: number): number {
   const u = (x - view.x) / view.scale, v = (y - view.y) / view.scale;
-  return tree.nodes.findIndex((n) => Math.abs(n.x - u) <= BOX.width / 2 && Math.abs(n.y - v) <= BOX.height / 2);
+  return tree.nodes.findIndex((n) => n.shown && Math.abs(n.x - u) <= BOX.width / 2 && Math.abs(n.y - v) <= BOX.height / 2);
 }

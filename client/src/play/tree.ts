@@ -11,17 +11,23 @@ export interface TreeNode {
   readonly machine: number;
   /** Of a state: which one, counted in its machine; else -1. */
   readonly state: number;
-  /** Middle of the box, in units of the layout. */
+  /** Middle of the box, in units of the layout, and where it glides to. */
   x: number;
   y: number;
+  toX: number;
+  toY: number;
+  placed: boolean;
+  /** Whether it is drawn, and how many of its children are not. */
+  shown: boolean;
+  folded: number;
 }
 
 export const BOX = { width: 80, height: 31, gapX: 8, gapY: 19 } as const;
 
 export class Tree {
   readonly nodes: TreeNode[] = [];
-  readonly width: number;
-  readonly height: number;
+  width: number;
+  height: number;
   readonly machines: TreeNode[] = [];
 
   constructor(readonly ready: PlayReady) {
@@ -37,12 +43,18 @@ export class Tree {
         state: parent && parent.machine >= 0 ? parent.data.states.indexOf(data.slot) : -1,
         x: 0,
         y: 0,
+        toX: 0,
+        toY: 0,
+        placed: false,
+        shown: true,
+        folded: 0,
       };
       parent?.children.push(index);
       this.nodes.push(node);
       if (machine >= 0) this.machines.push(node);
     });
     [this.width, this.height] = layOut(this.nodes);
+    this.glide(1);
   }
 
   /** How much of the output a node gives, from the shares of the nodes above it. */
@@ -50,6 +62,23 @@ export class Tree {
     for (let n = 0; n < this.nodes.length; n++) {
       const { parent } = this.nodes[n].data;
       out[n] = shares[n] * (parent < 0 ? 1 : out[parent]);
+    }
+  }
+
+  /** Show these nodes only (with all above them); the others are folded into their parents. */
+  fold(shown: readonly boolean[]): void {
+    this.nodes.forEach((node, n) => (node.shown = shown[n]));
+    for (const node of this.nodes) node.folded = node.shown ? node.children.filter((child) => !shown[child]).length : 0;
+    [this.width, this.height] = layOut(this.nodes);
+  }
+
+  /** Let the boxes glide to their places. */
+  glide(share: number): void {
+    for (const node of this.nodes) {
+      const moved = node.placed ? share : 1;
+      node.x += moved * (node.toX - node.x);
+      node.y += moved * (node.toY - node.y);
+      node.placed = node.shown;
     }
   }
 
@@ -68,7 +97,7 @@ function layOut(nodes: TreeNode[]): [number, number] {
   const offsets = new Float64Array(nodes.length);
   /** Left and right outline of a subtree by depth, seen from its top node. */
   function place(index: number): [number, number][] {
-    const { children } = nodes[index];
+    const children = nodes[index].children.filter((child) => nodes[child].shown);
     if (children.length === 0) return [[0, 0]];
     const outlines = children.map(place);
     const merged: [number, number][] = [];
@@ -89,12 +118,13 @@ function layOut(nodes: TreeNode[]): [number, number] {
   place(0);
   let left = Infinity, right = -Infinity, bottom = 0;
   for (const node of nodes) {
-    node.x = offsets[node.index] + (node.data.parent < 0 ? 0 : nodes[node.data.parent].x);
-    node.y = node.depth * (BOX.height + BOX.gapY) + BOX.height / 2;
-    left = Math.min(left, node.x - BOX.width / 2);
-    right = Math.max(right, node.x + BOX.width / 2);
-    bottom = Math.max(bottom, node.y + BOX.height / 2);
+    if (!node.shown) continue;
+    node.toX = offsets[node.index] + (node.data.parent < 0 ? 0 : nodes[node.data.parent].toX);
+    node.toY = node.depth * (BOX.height + BOX.gapY) + BOX.height / 2;
+    left = Math.min(left, node.toX - BOX.width / 2);
+    right = Math.max(right, node.toX + BOX.width / 2);
+    bottom = Math.max(bottom, node.toY + BOX.height / 2);
   }
-  for (const node of nodes) node.x -= left;
+  for (const node of nodes) node.toX -= left;
   return [right - left, bottom];
 }
