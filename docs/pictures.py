@@ -185,6 +185,26 @@ def play_page() -> None:
         photograph(page, "play.jpg")
 
 
+def crowd_page() -> None:
+    """The crowd page, some seconds after everybody began to walk."""
+    with studio_page(graph=True, theme="light") as page:
+        page.evaluate("Object.assign(keypose.crowd, { count: 250, seed: 12 })")
+        page.evaluate("keypose.crowd.look.orbit = false")
+        page.click("[data-testid=tab-crowd]")
+        until(page, "keypose.test.crowd().ready && keypose.test.crowd().received > 2")
+        page.evaluate("keypose.test.crowdDrawNothing(true)")
+        until(page, "keypose.test.crowd().time > 9")
+        radius = page.evaluate("keypose.test.crowd().radius")
+        page.evaluate(f"keypose.test.crowdLookFrom([{0.36 * radius}, 4.6, {0.86 * radius}], [{-0.1 * radius}, 0.2, 0])")
+        until(page, "keypose.test.crowd().inLevel[0] > 0")
+        time = page.evaluate("keypose.test.crowd().time")
+        until(page, f"keypose.test.crowd().time > {time} + 0.5")
+        page.evaluate("keypose.crowd.setPace({ paused: true })")
+        page.evaluate("keypose.test.crowdDrawNothing(false)")
+        page.wait_for_timeout(3000)
+        photograph(page, "crowd.jpg")
+
+
 def save(picture: np.ndarray, name: str) -> None:
     """Write a picture, small enough for a page."""
     from PIL import Image
@@ -200,3 +220,4 @@ if __name__ == "__main__":
     faces()
     view_page()
     play_page()
+    crowd_page()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from play_graphs import opened_arm
 from studio_page import StudioPage
 from studio_scenes import Start
@@ -81,10 +83,6 @@ def test_a_hundred_characters_really_move(crowd: StudioPage) -> None:
 
 def test_the_picture_shows_them_and_changes(crowd: StudioPage) -> None:
     def picture() -> np.ndarray:
-        import io
-
-        from PIL import Image
-
         return np.asarray(Image.open(io.BytesIO(crowd.test_id("crowd-canvas").screenshot())).convert("RGB")).astype(int)
 
     crowd.ask("crowdDrawNothing", False)
@@ -96,6 +94,8 @@ def test_the_picture_shows_them_and_changes(crowd: StudioPage) -> None:
     assert len(saturated) > 500
     strongest = np.bincount(saturated.argmax(axis=1), minlength=3) / len(saturated)
     assert np.sum(strongest > 0.05) >= 2
+    box = crowd.test_id("crowd-canvas").bounding_box()
+    assert box["x"] >= 0 and box["x"] + box["width"] <= 760  # nothing pushes it out of the window
     stats = now(crowd)["stats"]
     assert stats["visible"] > 50
     assert stats["drawCalls"] < 16  # by level and pass, not by character

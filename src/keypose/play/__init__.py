@@ -1,6 +1,6 @@
-"""The real-time runtime: compiled clips, sampled at any time; crowds of them; the animation graph."""
+"""The real-time runtime: compiled clips, sampled at any time; crowds of them, with level of detail; the animation graph."""
 
-from keypose.play import crowd, graph
+from keypose.play import crowd, detail, graph, levels, steering
 from keypose.play.clip import (
     CompiledClip,
     CompileError,
@@ -17,10 +17,13 @@ __all__ = [
     "CompiledClip",
     "compile_clip",
     "crowd",
+    "detail",
     "from_bytes",
     "graph",
+    "levels",
     "sample",
     "sample_rows",
     "sample_weights",
+    "steering",
     "to_bytes",
 ]

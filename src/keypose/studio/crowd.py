@@ -22,8 +22,8 @@ from keypose.arrays import Array, Floats
 from keypose.errors import KeyposeError, ShapeError, UnknownName
 from keypose.model import Character, Material
 from keypose.play import detail as lod
+from keypose.play import graph as g
 from keypose.play import steering
-from keypose.play.graph import Program, crowds
 from keypose.play.levels import Level, build
 from keypose.studio import messages
 from keypose.studio.container import Body, pack
@@ -87,9 +87,7 @@ class CrowdShow:
         self.steering = steering.init(count, self.radius_m, behaviour, seed)
         joints = character.skeleton.names
         dropped = [_dropped(joints, level, character.skeleton.parents) for level in self.levels[1:]]
-        self.crowd = crowds.prepare_crowd(
-            program, count, roots=steering.place(count, self.radius_m, seed), levels=dropped
-        )
+        self.crowd = g.prepare_crowd(program, count, roots=steering.place(count, self.radius_m, seed), levels=dropped)
         self.detail = lod.prepare(self.levels, count)
         self.seed = seed
         self.time_s, self._frames = 0.0, 0
@@ -199,11 +197,11 @@ class CrowdShow:
             known = crowd.program.inputs
             for name in ("speed", "turn", "wave", "look", "look_at"):
                 if name in known:
-                    crowds.set_parameter(crowd, name, getattr(s, name))
+                    g.set_parameter(crowd, name, getattr(s, name))
             if "jump" in known and s.jump.any():
-                crowds.set_parameter(crowd, "jump", 1.0, np.nonzero(s.jump)[0])
+                g.set_parameter(crowd, "jump", 1.0, np.nonzero(s.jump)[0])
         steered = perf_counter()
-        crowds.animate_crowd(crowd, dt_s)
+        g.animate_crowd(crowd, dt_s)
         self.time_s += dt_s
         done = perf_counter()
         self._costs.append((1e6 * (steered - began), 1e6 * (done - steered)))
@@ -216,7 +214,7 @@ class CrowdShow:
         self.crowd.level[:] = finest.reshape(blocks, -1).min(axis=1)
 
 
-def _check_driven(program: Program) -> None:
+def _check_driven(program: g.Program) -> None:
     """Raises `KeyposeError` for a graph that cannot be steered."""
     for name in ("speed", "turn"):
         if name not in program.inputs or program.inputs[name].definition.kind != "float":
