@@ -37,6 +37,7 @@ _STATURE_M = 1.6
 _FEWEST_JOINTS, _FEWEST_TIPS = 10, 4
 _MOST_JOINTS = 4096
 
+_SMALLEST_M, _LARGEST_M = 0.02, 5.0  # of a mesh whose file names no unit
 _UPRIGHT = 0.8  # cosine between the direction from feet to head and an axis
 _HEAD_WORDS = ("head",)
 _FOOT_WORDS = ("foot", "toe", "ankle")
@@ -109,6 +110,17 @@ def guess_unit(parents: Sequence[int], translations: Floats, ends: Sequence[tupl
     )
 
 
+def guess_mesh_unit(extent: float) -> tuple[float, str]:
+    """Metres per unit of a mesh that does not say, and the note that tells of the guess.
+
+    Shapes and units: ``extent`` is the longest side of its box in file units. The first of metre, centimetre and
+    millimetre is taken that makes it a thing one can hold, wear or ride on.
+    """
+    name = next((u for u in ("m", "cm", "mm") if _SMALLEST_M <= extent * UNITS_M[u] <= _LARGEST_M), "m")
+    size = f"{extent * UNITS_M[name]:.3g} m"
+    return UNITS_M[name], f"unit: the file names none; taken as {name}, which makes the longest side {size}"
+
+
 def guess_up(names: Sequence[str], rest: Floats, frames: Floats) -> tuple[str, str, str]:
     """The up axis of the world, the up axis of the rest pose, and the note that tells of the guess.
 
@@ -167,3 +179,109 @@ def _longest_path(parents: Sequence[int], lengths: Floats, tips: Sequence[tuple[
             longest = max(longest, reach[parent] + length)
             reach[parent] = max(reach[parent], length)
     return longest, sum(is_tip)
+
+
+# --- marker files -----------------------------------------------------------------------------------------------------
+
+_LENGTH_WORDS: tuple[tuple[str, str], ...] = (
+    ("mm", "mm"), ("millimeters", "mm"), ("millimetres", "mm"), ("cm", "cm"), ("centimeters", "cm"), ("centimetres", "cm"),
+    ("dm", "dm"), ("decimeters", "dm"), ("decimetres", "dm"), ("m", "m"), ("meters", "m"), ("metres", "m"),
+    ("in", "inch"), ("inches", "inch"), ("ft", "foot"), ("feet", "foot"), ("foot", "foot"),
+)  # fmt: skip
+_FEWEST_LETTERS = 3
+_HEAD_MARKERS = ("head", "fhd", "bhd", "thd", "vertex", "c7")
+_FOOT_MARKERS = ("toe", "hee", "ank", "foot", "calc", "mt5", "mt1")
+
+Turn = tuple[tuple[int, int, int], tuple[float, float, float]]
+"""Which axes of the file become X, Y, Z of keypose, and their signs."""
+
+
+def unit_of_word(word: str) -> str | None:
+    """The name in `UNITS_M` of a unit as marker files write it, also cut short ("mete"), else None."""
+    word = word.strip().strip("\0").casefold()
+    for known, unit in _LENGTH_WORDS:
+        if word == known or (len(word) >= _FEWEST_LETTERS and known.startswith(word)):
+            return unit
+    return None
+
+
+def screen_turn(right: str, up: str) -> Turn:
+    """The turn that brings a lab's axes to keypose's: ``right`` ("+X") becomes X, ``up`` ("+Z") becomes Y.
+
+    What points at the viewer of such a screen becomes Z. With ``up`` alone, as `y_up_rotation` turns it, ``right`` is
+    the axis that `right_of` names.
+
+    Raises:
+        ShapeError: where the two name the same axis.
+    """
+    x, y = _axis_vector(right), _axis_vector(up)
+    z = np.cross(x, y)
+    if not z.any():
+        raise ShapeError(f"the axes to the right ({right}) and up ({up}) are the same")
+    rows = np.array((x, y, z))
+    axes = np.abs(rows).argmax(axis=1)
+    signs = rows[np.arange(3), axes]
+    return (int(axes[0]), int(axes[1]), int(axes[2])), (float(signs[0]), float(signs[1]), float(signs[2]))
+
+
+def right_of(up: str) -> str:
+    """The axis to the right, where only ``up`` is known, so that the turn is that of `y_up_rotation`."""
+    return {"X": "-Y", "Y": "+X", "Z": "+X"}[up[-1]]
+
+
+def turn_in(points: Array, turn: Turn, factor: float) -> Array:
+    """Points (..., 3) of a file in keypose's axes, multiplied by ``factor``; a new float64 array."""
+    axes, signs = turn
+    out = np.empty(points.shape, np.float64)
+    for axis in range(3):
+        with np.errstate(invalid="ignore"):
+            np.multiply(points[..., axes[axis]], signs[axis] * factor, out=out[..., axis])
+    return out
+
+
+def turn_out(points: Array, turn: Turn, factor: float) -> Array:
+    """Points (..., 3) of keypose in a file's axes, divided by ``factor``; undoes `turn_in`."""
+    axes, signs = turn
+    out = np.empty(points.shape, np.float64)
+    for axis in range(3):
+        np.divide(points[..., axis], signs[axis] * factor, out=out[..., axes[axis]])
+    return out
+
+
+def guess_markers_up(names: Sequence[str], frames: Array, default: str) -> tuple[str, str]:
+    """The up axis of a marker file that names none, and the note that tells of the guess.
+
+    Shapes and units: ``frames`` (F, N, 3) are positions in the file's space, NaN where not seen. Markers of the head over
+    markers of the feet decide; without them ``default``.
+    """
+    folded = [name.rsplit(":", 1)[-1].casefold() for name in names]
+    heads = [i for i, name in enumerate(folded) if any(word in name for word in _HEAD_MARKERS)]
+    feet = [i for i, name in enumerate(folded) if any(word in name for word in _FOOT_MARKERS)]
+    if heads and feet and len(frames):
+        upward = _mean_seen(frames[:, heads]) - _mean_seen(frames[:, feet])
+        upward = upward[np.isfinite(upward).all(axis=-1)]
+        if len(upward):
+            length = np.linalg.norm(upward, axis=-1)
+            for axis, column in (("Y", 1), ("Z", 2), ("X", 0)):
+                if float(np.mean(upward[:, column] > _UPRIGHT * length)) > 0.5:
+                    return (
+                        axis,
+                        f"up axis: the file names none; taken as {axis}, along which the head is above the feet",
+                    )
+    return default, f"up axis: the file names none; taken as {default}, as such files mostly have it (option up)"
+
+
+def _mean_seen(points: Array) -> Array:
+    """The mean (F, 3) of the points (F, N, 3) that were seen; not a number where none was."""
+    is_seen = np.isfinite(points).all(axis=-1, keepdims=True)
+    count = is_seen.sum(axis=1)
+    total = np.where(is_seen, points, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _axis_vector(name: str) -> Ints:
+    name = name.strip().upper()
+    letter = name[-1:]
+    if letter not in UP_AXES or name[:-1] not in ("", "+", "-"):
+        raise UnknownName("axis", name, [sign + axis for sign in "+-" for axis in UP_AXES])
+    return np.eye(3, dtype=np.int64)[UP_AXES.index(letter)] * (-1 if name[:-1] == "-" else 1)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from keypose.errors import FormatError, UnknownName
+from keypose.io.asf import is_amc, is_asf
 
 HEAD_BYTES = 4096
 
@@ -57,6 +58,15 @@ def _is_gltf(head: bytes) -> bool:
     return head.startswith(b"glTF") or (text.startswith(b"{") and b'"asset"' in text)
 
 
+def _is_obj(head: bytes) -> bool:
+    for line in head.removeprefix(b"\xef\xbb\xbf").splitlines():
+        words = line.split()
+        if words and not words[0].startswith(b"#"):
+            # a vertex or the library of materials comes first in nearly every file; the rest have their suffix
+            return words[0] == b"mtllib" or (words[0] == b"v" and len(words) in (4, 5, 7, 8))
+    return False
+
+
 _formats: dict[str, Format] = {}
 
 
@@ -69,6 +79,9 @@ register(Format("bvh", (".bvh",), _is_bvh, "keypose.io.bvh:read", "keypose.io.bv
 register(
     Format("gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf:read", "keypose.io.gltf:write"),
 )
+register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
+register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
+register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.obj:write"))
 
 
 def formats() -> tuple[Format, ...]:
