@@ -2,14 +2,17 @@
 
 from keypose.analysis.contacts import contact_changes, find_contacts
 from keypose.analysis.doctor import Examination, Finding, examine
+from keypose.analysis.proof import SceneError, scene_error
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 
 __all__ = [
     "Examination",
     "Finding",
     "RoundtripError",
+    "SceneError",
     "contact_changes",
     "examine",
     "find_contacts",
     "roundtrip_error",
+    "scene_error",
 ]

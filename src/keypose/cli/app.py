@@ -156,6 +156,7 @@ def check(
         "keypose convert take.bvh take.glb",
         "keypose convert walk.bvh character.glb walking.glb",
         "keypose convert character.glb run.bvh --clip Run --rate 60",
+        "keypose convert take.fbx take.glb --strict [dim]# exit code 1 where anything was lost[/dim]",
     )
 )
 def convert(
@@ -171,6 +172,13 @@ def convert(
     ] = None,
     order: Annotated[str | None, typer.Option("--order", help="Rotation order to write (BVH), such as ZXY.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Fail where the result is not within the limits, or lacks something.")
+    ] = False,
+    limit_mm: Annotated[
+        float, typer.Option("--limit-mm", help="For --strict: joints, vertices, markers.", min=0)
+    ] = 1e-3,
+    limit_deg: Annotated[float, typer.Option("--limit-deg", help="For --strict: rotations.", min=0)] = 1e-4,
 ) -> None:
     """Convert between formats, read the result back and print how exact it is."""
     from keypose.cli.convert import convert_files
@@ -187,6 +195,9 @@ def convert(
         out_unit=out_unit,
         order=order,
         quiet=quiet,
+        strict=strict,
+        limit_mm=limit_mm,
+        limit_deg=limit_deg,
     )
 
 

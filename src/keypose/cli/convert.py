@@ -9,7 +9,11 @@ from typing import Any
 from keypose.cli.console import console
 from keypose.cli.inputs import open_inputs, unit_option
 from keypose.errors import FormatError
-from keypose.model import Clip, Motion, Pose, Scene, Skeleton
+from keypose.model import Clip, Motion, Scene
+
+
+class ConversionError(FormatError):
+    """The file that was written does not hold what it should."""
 
 
 def convert_files(
@@ -23,8 +27,15 @@ def convert_files(
     out_unit: str | None,
     order: str | None,
     quiet: bool,
+    strict: bool = False,
+    limit_mm: float = 1e-3,
+    limit_deg: float = 1e-4,
 ) -> None:
-    """Write the inputs as one file and print how far the file read back is from what was written."""
+    """Write the inputs as one file and print how far the file read back is from what was written.
+
+    Raises:
+        ConversionError: with ``strict``, where it is farther than the limits or something was not kept.
+    """
     from keypose import io
     from keypose.io.registry import format_of_suffix, unknown_format
 
@@ -40,6 +51,16 @@ def convert_files(
         "order": order,
     }
     write_notes = io.save(scene, output, **{name: value for name, value in options.items() if value is not None})
+    if quiet and not strict:
+        return
+    from keypose.analysis import scene_error
+
+    error = scene_error(scene, _read_back(scene, output, out_unit))
+    if strict and not error.within(limit_mm, limit_deg):
+        worst = "; ".join(error.lines())
+        raise ConversionError(
+            f"not within {limit_mm:g} mm and {limit_deg:g} degrees of what was read: {worst}", path=output
+        )
     if quiet:
         return
     from rich.markup import escape
@@ -48,7 +69,7 @@ def convert_files(
     out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
     for note in (*scene.notes, *write_notes):
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in [*_unsaid(scene, output, out_unit), *proof(scene, _read_back(scene, output, out_unit))]:
+    for line in [*_unsaid(scene, output, out_unit), *error.lines()]:
         out.print(f"  {escape(line)}")
 
 
@@ -114,32 +135,3 @@ def combine(names: list[str], scenes: list[Scene]) -> Scene:
         # The order of the inputs is the order of the clips.
         animations = animations + added if i > base else added + animations
     return replace(scenes[base], animations=tuple(animations), notes=tuple(dict.fromkeys(notes)))
-
-
-def proof(written: Scene, read: Scene) -> list[str]:
-    """Lines that say how far the animation read back is from the one written."""
-    from keypose.analysis import roundtrip_error
-
-    if not written.characters or not read.characters:
-        return []
-    source, result = written.character.skeleton, read.character.skeleton
-    if not read.animations:
-        return [f"rest pose, read back: {roundtrip_error(_at_rest(source), _at_rest(result), source, result)}"]
-    errors = []
-    for k, animation in enumerate(read.animations):
-        same_name = (a for a in written.animations if a.name == animation.name)
-        original = written.animations[k] if len(read.animations) == len(written.animations) else next(same_name, None)
-        if original is not None:
-            errors.append(roundtrip_error(original, animation, source, result))
-    worst = max(errors, key=lambda e: (e.position_mm, e.rotation_deg))
-    lines = [f"read back: {worst}"]
-    if len(errors) > 1:
-        lines = [f"{len(errors)} clips read back, the worst: {worst}"]
-    if len(read.animations) < len(written.animations):
-        lines.append(f"kept {len(read.animations)} of {len(written.animations)} clips; choose one with --clip")
-    return lines
-
-
-def _at_rest(skeleton: Skeleton) -> Motion:
-    rest = skeleton.rest
-    return Motion(skeleton.names, Pose(rest.translations[None], rest.rotations[None], rest.scales[None]), 1.0)
