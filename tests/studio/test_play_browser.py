@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 from play_graphs import arm_graph, opened_arm
 from studio_page import StudioPage
 from studio_scenes import Start, arm_scene
@@ -211,6 +213,23 @@ def test_feet_states_and_costs_are_read_out(human: StudioPage) -> None:
     human.until(lambda: min(now(human)["contacts"]) >= 2, "both feet touch the ground in turn")
     human.until(lambda: human.test_id("state-body").inner_text() == "move", "the state is shown")
     assert "µs" in human.test_id("cost").inner_text()
+    box = human.test_id("strip").bounding_box()
+    human.page.mouse.move(box["x"] + box["width"] - 14, box["y"] + 24)
+    human.until(
+        lambda: "body: move" in human.page.locator(".strip .tip").inner_text(),
+        "the strip says what is under the pointer",
+    )
+
+
+def test_a_picture_is_saved(human: StudioPage, tmp_path: Path) -> None:
+    human.ask("drawNothing", False)
+    with human.page.expect_download() as waiting:
+        human.page.keyboard.press("v")
+    waiting.value.save_as(tmp_path / "shot.png")
+    picture = np.asarray(Image.open(tmp_path / "shot.png").convert("RGB"), np.int16)
+    box = human.test_id("play-canvas").bounding_box()
+    assert picture.shape[:2] == (round(box["height"]), round(box["width"]))
+    assert picture.std() > 5, "the picture is not empty"
 
 
 def test_pause_one_step_slow_motion_and_reset(human: StudioPage) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -405,3 +409,22 @@ def test_a_dropped_graph_that_is_wrong_is_refused_in_one_line(start: Start, text
     assert what in result["errors"][0]
     assert "\n" not in result["errors"][0]
     assert "keypose-" not in result["errors"][0].replace("keypose-graph", "")
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_keypose_play_serves_the_built_in_graph_and_ends_quietly_while_it_plays() -> None:
+    command = [sys.executable, "-m", "keypose", "play", "--no-browser"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = urlsplit(process.stdout.readline().split()[-1])
+    with sync.connect(f"ws://127.0.0.1:{url.port}/api/events?{url.query}", max_size=None) as socket:
+        plain = PlainPage(socket)
+        hello = plain.until("hello")
+        assert (hello["start"], hello["graph"]) == ("play", "sample:locomotion")
+        plain.say("play_open", graph=hello["graph"])
+        plain.until("play_frame", lambda f: f["time_s"] > 0.3)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    assert (process.returncode, out, err) == (0, "", "")

@@ -1,7 +1,6 @@
 // Colours of the drawings: the page's own tokens, a quiet hue for each state, and one for each kind of transition.
 
 export interface Colors {
-  ground: string;
   panel: string;
   raised: string;
   hover: string;
@@ -24,7 +23,6 @@ export function readColors(element: Element): Colors {
   const get = (name: string) => style.getPropertyValue(name).trim();
   const dark = document.documentElement.dataset.theme !== "light";
   return {
-    ground: get("--ground"),
     panel: get("--panel"),
     raised: get("--raised"),
     hover: get("--hover"),

@@ -40,11 +40,6 @@ export class Driver {
 
   constructor(readonly roles: Roles) {}
 
-  /** Whether anything is pushed. */
-  get moving(): boolean {
-    return this.push().amount > 0;
-  }
-
   private pad(): Pad | null {
     if (this.fakePad) return this.fakePad;
     const found = navigator.getGamepads?.().find((p) => p !== null && p.connected) ?? null;

@@ -5,7 +5,6 @@ import { Arrays, type Container } from "../net/container";
 
 /** Kinds of transitions, as `PlayFrame.machines` counts them. */
 export const TRANSITION_KINDS = ["", "crossfade", "frozen", "inertial", "dead"] as const;
-export type TransitionKind = (typeof TRANSITION_KINDS)[number];
 
 export interface Frame {
   readonly data: PlayFrame;

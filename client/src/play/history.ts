@@ -39,9 +39,8 @@ export class History {
   marks: Mark[] = [];
   cuts: Cut[] = [];
   now = 0;
-  /** Of everything since the start, also what has left the strip. */
+  /** Of all events since the start, also those that have left the strip. */
   markCount = 0;
-  cutCount = 0;
   private readonly touching: boolean[];
   private readonly machineIndex: Map<string, { row: number; states: string[] }>;
 
@@ -69,7 +68,6 @@ export class History {
         duration: change.duration_s,
         interrupted: change.interrupted,
       });
-      this.cutCount++;
     }
     for (const event of data.events) {
       this.marks.push({ time, name: event.name, clip: event.clip });
@@ -103,6 +101,6 @@ export class History {
     this.touching.fill(false);
     this.marks = [];
     this.cuts = [];
-    this.markCount = this.cutCount = 0;
+    this.markCount = 0;
   }
 }

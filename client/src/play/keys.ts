@@ -1,5 +1,6 @@
 // Keys of the play page: those that are held to drive, and the table of all others.
 
+import { save } from "../net/download";
 import type { Shortcut } from "../shortcuts";
 import { studio } from "../studio.svelte";
 import type { Direction } from "./driver";
@@ -48,6 +49,11 @@ export function driveKey(event: KeyboardEvent, down: boolean): boolean {
   return true;
 }
 
+export async function savePicture(): Promise<void> {
+  const stage = stageOf();
+  if (stage) save(await stage.screenshot(), `play-${(play.frame?.data.time_s ?? 0).toFixed(2)}s.png`);
+}
+
 export interface PlayWindow {
   open: () => void;
   togglePanel: (side: "left" | "right") => void;
@@ -81,6 +87,7 @@ export function playShortcuts(window: PlayWindow): Shortcut[] {
     look("Escape", "Explain no joint", () => play.explain(-1)),
     win("M", "To the view page", () => studio.turnTo("view")),
     win("O", "Open a graph", window.open),
+    win("V", "Save a picture", () => void savePicture()),
     win("H", "Key hints", window.toggleHints),
     win("[", "Left panel", () => window.togglePanel("left")),
     win("]", "Right panel", () => window.togglePanel("right")),

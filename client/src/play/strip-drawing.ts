@@ -53,6 +53,25 @@ export function drawStrip(canvas: HTMLCanvasElement, width: number, height: numb
   c.fill();
 }
 
+/** What is under a point of the strip, in words. */
+export function stripText(playing: Playing, width: number, seconds: number, x: number, y: number): string {
+  const { history, tree } = playing;
+  const right = width - 10, scale = (right - GUTTER) / seconds;
+  if (x < GUTTER) return "";
+  const time = history.now - (right - x) / scale, near = 7 / scale;
+  const row = Math.floor((y - TOP + GAP) / (ROW + GAP));
+  const machine = tree.machines[row];
+  if (machine) {
+    const { states } = machine.data;
+    const cut = history.cuts.findLast((c) => c.machine === row && Math.abs(c.time - time) < near);
+    if (cut) return `${states[cut.source]} → ${states[cut.target]}: ${cut.duration > 0 ? `${cut.kind}, ${+cut.duration.toFixed(3)} s` : "cut"}${cut.interrupted ? ", breaks another one off" : ""}, at ${cut.time.toFixed(2)} s`;
+    const band = history.bands[row].find((b) => b.from <= time && time <= b.to);
+    return band ? `${machine.data.name}: ${states[band.state]}, ${(band.to - band.from).toFixed(2)} s` : "";
+  }
+  const mark = history.marks.findLast((m) => Math.abs(m.time - time) < near);
+  return mark ? `${mark.name} of ${mark.clip}, at ${mark.time.toFixed(2)} s` : "";
+}
+
 function ruler(c: CanvasRenderingContext2D, colors: Colors, from: number, now: number, toX: (t: number) => number, height: number): void {
   c.font = `9px ${colors.mono}`;
   c.textAlign = "left";
@@ -99,12 +118,16 @@ function bands(c: CanvasRenderingContext2D, colors: Colors, { history, tree }: P
       c.fillStyle = color;
       c.fillRect(x0, y + ROW - 2, x1 - x0, 2);
     }
-    c.fillStyle = color;
+    c.fillStyle = c.strokeStyle = color;
+    c.lineWidth = 1.3;
     c.beginPath();
     c.moveTo(x0 - 4, y - 3);
     c.lineTo(x0 + 4, y - 3);
     c.lineTo(x0, y + 4);
-    c.fill();
+    c.closePath();
+    // hollow where it broke another one off
+    if (cut.interrupted) c.stroke();
+    else c.fill();
     c.fillRect(x0 - 0.6, y, 1.2, ROW);
   }
   c.fillStyle = colors.dark ? "#ffffff" : "#1b1c20";

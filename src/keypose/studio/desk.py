@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from keypose.errors import KeyposeError
@@ -109,7 +110,7 @@ class PlayDesk:
         loop = asyncio.get_running_loop()
 
         def later(function: object, *arguments: object) -> None:
-            if not loop.is_closed():
+            with suppress(RuntimeError):  # the studio ends in the middle of a step
                 loop.call_soon_threadsafe(function, *arguments)  # type: ignore[arg-type]
 
         def frame(frame: messages.PlayFrame, body: Body) -> None:
