@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def _one_character(suite, parents, motions, clips, places, weights) -> None:
     out = sample.animate_one(clips, state)
     suite.check("one character: model matrices", abs(out - _chain(parents, motions, places, weights)[0]).max(), 2e-5)
     suite.case(
-        "chain, 1 character, call from Python", "ns/character", 1, lambda: sample.animate_one(clips, state, out),
+        "chain, 1 character, call from Python", "ns/character", 1, partial(sample.animate_one, clips, state, out),
         lambda: _chain(parents, motions, places, weights),
     )  # fmt: skip
     call = sample.single_call(clips, state, out)
