@@ -107,13 +107,18 @@ def test_frames_are_the_reference_evaluators_own_poses(server: StudioServer) -> 
 
 def test_time_is_real_and_steps_come_steadily(server: StudioServer) -> None:
     with page(server) as plain:
-        first = plain.until("play_frame", lambda f: f["number"] > 5)
+        plain.until("play_frame", lambda f: f["number"] > 5)
+        plain.frames.clear()
         began = time.perf_counter()
-        last = plain.until("play_frame", lambda f: f["time_s"] > first["time_s"] + 1.0)
+        last = plain.until("play_frame", lambda f: f["time_s"] > 1.3)
         passed = time.perf_counter() - began
-    assert passed == pytest.approx(1.0, abs=0.15)
-    assert 30 <= last["number"] - first["number"] <= 66
+    first = plain.frames[0]
+    went = last["time_s"] - first["time_s"]
+    assert went <= passed + 0.05  # less where the machine stalled: that is not caught up
     assert max(frame["dt_s"] for frame in plain.frames) <= 0.1
+    assert sum(frame["dt_s"] for frame in plain.frames[1:]) == pytest.approx(went, abs=1e-9)
+    assert last["number"] - first["number"] <= 66 * passed + 3
+    assert np.median([frame["dt_s"] for frame in plain.frames]) == pytest.approx(1 / 60, abs=0.01)
 
 
 def test_a_page_that_does_not_draw_gets_no_further_frames_and_no_catching_up(server: StudioServer) -> None:
@@ -172,7 +177,8 @@ def test_pause_single_steps_slow_motion_and_reset(server: StudioServer) -> None:
         plain.say("play_pace", paused=False, speed=0.25)
         began, start = time.perf_counter(), plain.frames[-1]["time_s"]
         plain.silence(1.0)
-        assert plain.frames[-1]["time_s"] - start == pytest.approx(0.25 * (time.perf_counter() - began), abs=0.06)
+        went = plain.frames[-1]["time_s"] - start
+        assert 0.05 < went <= 0.25 * (time.perf_counter() - began) + 0.03
         plain.say("play_reset")
         again = plain.until("play_frame", lambda f: f["time_s"] < start)
         assert again["time_s"] <= 0.1
