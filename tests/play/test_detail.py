@@ -246,3 +246,58 @@ def test_matrices_for_graphics_cards_move_the_mesh_as_skinning_does(levels, pose
         blended = np.einsum("vk,nvkrc->nvrc", level.skin.weights, rows[:, level.skin.joints])
         seen = np.einsum("nvrc,vc->nvr", blended, points)
         assert np.abs(seen - deform.skin(level.mesh, level.skin, models[who])).max() < 4e-4
+
+
+@pytest.mark.data
+def test_levels_of_a_real_character(data_dir):
+    """A file with a vertex of its own for every corner of every triangle: still one closed surface, close to the finest."""
+    from keypose import io
+
+    character = io.load(data_dir / "gltf" / "khronos" / "Fox.glb").character
+    fox = build(character)
+    assert [level.triangle_count for level in fox] == [576, 576, 576, 300]
+    assert fox[3].mesh.vertex_count < 400  # of 900 corners
+    size = np.ptp(fox[0].mesh.positions, axis=0).max()
+    assert fox[3].error.rms_m < 0.01 * size
+    for level in fox:
+        assert np.abs(level.skin.weights.sum(axis=1) - 1).max() < 1e-6
+    models = np.asarray(evaluate.world(character.skeleton, character.skeleton.rest))[None].repeat(3, axis=0)
+    crowd = d.prepare(fox, 3)
+    d.choose(crowd, np.array([1.0, 0.1, 0.01]))
+    d.skin(crowd, in_lanes(models))
+    for n in range(3):
+        level = fox[crowd.level[n]]
+        assert np.abs(d.vertices_of(crowd, n)[0] - deform.skin(level.mesh, level.skin, models[n])).max() < 1e-5 * size
+
+
+def test_flat_meshes_are_welded_but_hard_edges_stay():
+    """Each triangle of a sphere on its own: welded, it goes to few triangles; of a cube nothing becomes round."""
+    from keypose.model import Character, Mesh, Part, Skeleton, Skin
+
+    def levels_of(positions, triangles):
+        own = positions[triangles].reshape(-1, 3).astype(np.float32)
+        skin = Skin(np.array([0]), np.eye(4)[None], np.zeros((len(own), 1), int), np.ones((len(own), 1), np.float32))
+        rest = Pose(np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones((1, 3)))
+        part = Part("all", Mesh(own, np.arange(len(own)).reshape(-1, 3)), skin=skin)
+        return build(
+            Character(Skeleton(("root",), np.array([-1]), rest), (part,)), (LevelSpec(above=0.1), LevelSpec(0.25))
+        )
+
+    angle = np.linspace(0, np.pi, 25)[:, None], np.linspace(0, 2 * np.pi, 49)[None]
+    ball = np.stack(
+        np.broadcast_arrays(np.sin(angle[0]) * np.cos(angle[1]), np.cos(angle[0]), np.sin(angle[0]) * np.sin(angle[1])),
+        -1,
+    )
+    ball = np.round(ball, 6) + 0.0
+    ball[:, -1] = ball[:, 0]
+    corner = (np.arange(24)[:, None] * 49 + np.arange(48)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 49], 1), np.stack([corner + 1, corner + 50, corner + 49], 1)]
+    )
+    fine, coarse = levels_of(ball.reshape(-1, 3), faces)
+    assert coarse.triangle_count <= 0.26 * fine.triangle_count
+    assert coarse.error.max_m < 0.06
+    cube = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    box = levels_of(cube, np.array([t for a, b, c, e in sides for t in ((a, b, c), (a, c, e))]))[1]
+    assert np.abs(np.abs(box.mesh.normals).max(axis=1) - 1).max() < 1e-6

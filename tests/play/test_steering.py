@@ -79,6 +79,8 @@ def test_streams_go_two_ways_and_a_gathering_comes_to_the_middle():
     _, roots, seen = walked(60, "gather", 30)
     assert np.median(np.linalg.norm(roots[:, :2], axis=1)) < 0.75 * np.median(np.linalg.norm(seen[0][0][:, :2], axis=1))
     assert np.mean([speed > 0 for _, speed, *_ in seen[-4:]]) < 0.3  # they stand
+    inward = np.sum(-roots[:, :2] * np.stack([np.sin(roots[:, 2]), np.cos(roots[:, 2])], axis=1), axis=1)
+    assert np.mean(inward > 0.7 * np.linalg.norm(roots[:, :2], axis=1)) > 0.6  # and look at the middle
 
 
 def test_the_same_seed_gives_the_same_crowd():

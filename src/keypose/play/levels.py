@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from keypose.math import rigid
 from keypose.model import Character, Mesh, Part, Pose, Skeleton, Skin
 
 _INFLUENCES = 4
+_SMOOTH = 0.64  # cosine of the sharpest edge that may become round
 _GUESSED_TURN = 1.0  # chord of sixty degrees: how far a joint may turn where no example says it
 
 
@@ -26,7 +27,7 @@ class LevelSpec:
     """What one level of detail shall be.
 
     Units:
-        triangles: share of the character's triangles, 0..1.
+        triangles: share of the character's triangles, 0..1; at least ``fewest`` of them, or all.
         joint_error_m: joints are dropped that move no vertex by more than this from where it is without them.
         every: the steps from one update to the next.
         above: the level is for characters taller than this share of the view's height.
@@ -40,15 +41,17 @@ class LevelSpec:
     above: float = 0.0
     capacity: int | None = None
     without: tuple[str, ...] = ()
+    fewest: int = 12
 
 
 # A level is used where its largest error on the surface is about a pixel and a half on a screen of 1,080 lines.
 DEFAULT = (
     LevelSpec(above=0.35),
-    LevelSpec(0.35, 0.01, above=0.14),
-    LevelSpec(0.12, 0.03, 2, above=0.05),
-    LevelSpec(0.04, 0.05, 4),
+    LevelSpec(0.35, 0.01, above=0.14, fewest=2500),
+    LevelSpec(0.12, 0.03, 2, above=0.05, fewest=800),
+    LevelSpec(0.04, 0.05, 4, fewest=300),
 )
+_PERSON_M = 1.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +84,7 @@ class Level:
 
 def build(
     character: Character,
-    specs: Sequence[LevelSpec] = DEFAULT,
+    specs: Sequence[LevelSpec] | None = None,
     examples: Pose | None = None,
     importance: dict[str, float] | None = None,
 ) -> tuple[Level, ...]:
@@ -92,19 +95,24 @@ def build(
     the character will do. Without examples every joint is taken to turn by up to sixty degrees. ``importance`` says
     by name which parts' errors count more. Morph targets are left out.
 
+    Without ``specs`` the levels are `DEFAULT`, whose lengths are those for a person, made to the character's size.
+
     Raises:
         ShapeError: where a number is out of range, levels do not come from fine to coarse, or nothing can be skinned.
         UnknownName: for a part that is not there.
     """
     names = [part.name for part in character.parts]
-    for name in [*(n for s in specs for n in s.without), *(importance or {})]:
+    for name in [*(n for s in specs or () for n in s.without), *(importance or {})]:
         if name not in names:
             raise UnknownName("part", name, names)
-    _check_specs(specs)
     rest = world(character.skeleton, character.skeleton.rest)
     bound = [_bound(part, rest) for part in character.parts]
     if not any(len(part.mesh.triangles) for part in bound):
         raise ShapeError(f"character '{character.name}': there is no triangle to make levels from")
+    if specs is None:
+        size = max(float(np.ptp(np.concatenate([p.mesh.positions for p in bound]), axis=0).max()), 1e-9)
+        specs = [replace(s, joint_error_m=s.joint_error_m * size / _PERSON_M) for s in DEFAULT]
+    _check_specs(specs)
     moves = _joint_moves(character, bound, examples)
     relaxed = world(character.skeleton, _mean(examples) if examples is not None else character.skeleton.rest)
     made: list[Level] = []
@@ -123,9 +131,9 @@ def _check_specs(specs: Sequence[LevelSpec]) -> None:
     if not specs:
         raise ShapeError("specs: expected at least one level")
     for n, spec in enumerate(specs):
-        if not 0 < spec.triangles <= 1 or spec.joint_error_m < 0 or spec.every < 1 or spec.above < 0:
+        if not 0 < spec.triangles <= 1 or spec.joint_error_m < 0 or spec.every < 1 or spec.above < 0 or spec.fewest < 0:
             raise ShapeError(
-                f"specs[{n}]: expected triangles in (0, 1], joint_error_m and above >= 0, every >= 1: {spec}"
+                f"specs[{n}]: expected triangles in (0, 1], joint_error_m and above and fewest >= 0, every >= 1: {spec}"
             )
         if spec.capacity is not None and spec.capacity < 0:
             raise ShapeError(f"specs[{n}]: expected a capacity >= 0, got {spec.capacity}")
@@ -146,21 +154,25 @@ def _level(
     triangles = np.concatenate([p.mesh.triangles + o for p, o in zip(shown, offsets, strict=False)])
     rest = np.concatenate([p.mesh.positions for p in parts])  # a seam is one where the original is
     palette, binds, joints, weights = _joined_skins(shown)
+    number = {id(p): n for n, p in enumerate(whole)}
+    of = np.repeat([number[id(p)] for p in parts], counts)
+    colors = np.concatenate([p.colors for p in shown])
+    normals = np.concatenate([_normals(p.mesh) for p in shown])
     if spec.triangles < 1:
         total = sum(len(p.mesh.triangles) for p in whole)
         dense = np.zeros((len(weights), len(palette)), np.float32)
         np.add.at(dense, (np.arange(len(weights))[:, None], joints), weights)
-        features = np.concatenate([dense, np.concatenate([p.colors for p in shown])[:, :3]], axis=1)
+        first, normals = _welded(np.concatenate([of[:, None], rest, dense, colors], axis=1, dtype=np.float32), normals)
         factor = np.repeat([importance.get(p.name, 1.0) for p in shown], counts)
-        triangles = simplify(rest, triangles, int(spec.triangles * total), features=features, importance=factor)
+        target = max(round(spec.triangles * total), min(total, spec.fewest))
+        features = np.concatenate([dense, colors[:, :3]], axis=1)
+        triangles = simplify(rest, first[triangles], target, features=features, importance=factor)
     used, inverse = np.unique(triangles, return_inverse=True)
     triangles = inverse.reshape(-1, 3).astype(np.int32)
-    number = {id(p): n for n, p in enumerate(whole)}
-    of = np.repeat([number[id(p)] for p in parts], counts)[used]
+    of = of[used]
     own = np.concatenate([np.arange(n) for n in counts])[used]
     positions = np.concatenate([p.mesh.positions for p in shown])[used]
-    normals = np.concatenate([_normals(p.mesh) for p in shown])[used]
-    mesh = Mesh(positions, triangles, normals, colors=np.concatenate([p.colors for p in shown])[used])
+    mesh = Mesh(positions, triangles, normals[used], colors=colors[used])
     entries, slots = np.unique(joints[used][weights[used] > 0], return_inverse=True)
     joints = np.where(weights[used] > 0, joints[used], -1)
     joints[joints >= 0] = slots.reshape(-1)
@@ -172,8 +184,27 @@ def _level(
     motion = None if examples is None else _motion_error(character, whole, of, own, mesh, skin, examples)
     from keypose.kernels.skin import compile_mesh
 
-    compiled = compile_mesh(skin.joints, skin.weights, positions, normals, skin.palette, skin.joint_from_mesh)
+    compiled = compile_mesh(skin.joints, skin.weights, positions, mesh.normals, skin.palette, skin.joint_from_mesh)
     return Level(spec, mesh, skin, of, own, int(kept.sum()), error, motion, compiled)
+
+
+def _welded(rows: Floats, normals: Array) -> tuple[Ints, Array]:
+    """For every vertex the first one that is the same (V, C) but for a normal within some fifty degrees, and the normals (V, 3)
+    that those then share: files often have vertices of their own for every triangle."""
+    keys = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1] * rows.itemsize))).ravel()
+    _, group = np.unique(keys, return_inverse=True)
+    group = group.reshape(-1)
+    order = np.argsort(group, kind="stable")
+    first, normals = np.arange(len(rows)), np.array(normals)
+    for same in np.split(order, np.nonzero(np.diff(group[order]))[0] + 1):
+        while len(same) > 1:
+            near = normals[same] @ normals[same[0]] > _SMOOTH
+            near[0] = True
+            first[same[near]] = same[0]
+            mean = normals[same[near]].sum(axis=0)
+            normals[same[0]] = mean / max(float(np.linalg.norm(mean)), 1e-30)
+            same = same[~near]
+    return first, normals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

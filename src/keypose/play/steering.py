@@ -285,6 +285,11 @@ def _drive(s: Steering, roots: Floats, near: Ints, away: Floats) -> None:
     goes &= s.resting_s == 0
     shuffles = ~goes & (s.speed == 0) & turns & (s.resting_s == 0)
     roots[shuffles, 2] += np.clip(off[shuffles], -_SHUFFLE, _SHUFFLE)
+    if s.behaviour == "gather":  # who is there turns to the middle
+        there = (pace == 0) & (s.speed == 0)
+        back = np.arctan2(-roots[:, 0], -roots[:, 1]) - roots[:, 2]
+        back = np.arctan2(np.sin(back), np.cos(back))
+        roots[there, 2] += np.clip(0.5 * back[there], -_SHUFFLE, _SHUFFLE)
     s.speed = np.where(goes, np.maximum(amount, _WALK_M_S), 0.0)
     s.turn = np.where(goes, np.clip(np.degrees(off) * 2.2, -_TURN_DEG_S, _TURN_DEG_S), 0.0)
 
