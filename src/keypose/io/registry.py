@@ -58,6 +58,11 @@ def _is_gltf(head: bytes) -> bool:
     return head.startswith(b"glTF") or (text.startswith(b"{") and b'"asset"' in text)
 
 
+def _is_c3d(head: bytes) -> bool:
+    # the first block of a C3D file is mostly zeros; no text is
+    return len(head) >= 512 and head[0] > 0 and head[1] == 0x50 and b"\0\0" in head[:512]
+
+
 def _is_obj(head: bytes) -> bool:
     for line in head.removeprefix(b"\xef\xbb\xbf").splitlines():
         words = line.split()
@@ -65,6 +70,11 @@ def _is_obj(head: bytes) -> bool:
             # a vertex or the library of materials comes first in nearly every file; the rest have their suffix
             return words[0] == b"mtllib" or (words[0] == b"v" and len(words) in (4, 5, 7, 8))
     return False
+
+
+def _is_makehuman(head: bytes) -> bool:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return text.startswith(b"{") and b'"bones"' in text and b'"rotation_plane"' in text
 
 
 _formats: dict[str, Format] = {}
@@ -81,6 +91,8 @@ register(
 )
 register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
+register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
+register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
 register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.obj:write"))
 
 
