@@ -6,6 +6,7 @@ and its motion, and every guess comes with a sentence for the scene's notes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from math import log
@@ -189,8 +190,10 @@ _LENGTH_WORDS: tuple[tuple[str, str], ...] = (
     ("in", "inch"), ("inches", "inch"), ("ft", "foot"), ("feet", "foot"), ("foot", "foot"),
 )  # fmt: skip
 _FEWEST_LETTERS = 3
-_HEAD_MARKERS = ("head", "fhd", "bhd", "thd", "vertex", "c7")
-_FOOT_MARKERS = ("toe", "hee", "ank", "foot", "calc", "mt5", "mt1")
+_SIDE = r"(?:l|r|left|right)?[^a-z]*(?:top|front|back|rear)?[^a-z]*"
+_HEAD_MARKER = re.compile(_SIDE + r"(?:head|forehead|fhd|bhd|thd|vertex|c7)")
+_FOOT_MARKER = re.compile(_SIDE + r"(?:toe|heel|hee|ankle|ank|foot|calc|mt1|mt5)(?![a-z]*chair)")
+_LEANING = 0.6  # cosine between an axis and the direction to the head from all other markers
 
 Turn = tuple[tuple[int, int, int], tuple[float, float, float]]
 """Which axes of the file become X, Y, Z of keypose, and their signs."""
@@ -208,8 +211,7 @@ def unit_of_word(word: str) -> str | None:
 def screen_turn(right: str, up: str) -> Turn:
     """The turn that brings a lab's axes to keypose's: ``right`` ("+X") becomes X, ``up`` ("+Z") becomes Y.
 
-    What points at the viewer of such a screen becomes Z. With ``up`` alone, as `y_up_rotation` turns it, ``right`` is
-    the axis that `right_of` names.
+    What points at the viewer of such a screen becomes Z.
 
     Raises:
         ShapeError: where the two name the same axis.
@@ -232,10 +234,10 @@ def right_of(up: str) -> str:
 def turn_in(points: Array, turn: Turn, factor: float) -> Array:
     """Points (..., 3) of a file in keypose's axes, multiplied by ``factor``; a new float64 array."""
     axes, signs = turn
-    out = np.empty(points.shape, np.float64)
+    out = np.empty((*points.shape[:-1], 3), np.float64)
     for axis in range(3):
         with np.errstate(invalid="ignore"):
-            np.multiply(points[..., axes[axis]], signs[axis] * factor, out=out[..., axis])
+            np.multiply(points[..., axes[axis]], signs[axis] * factor, out=out[..., axis], dtype=np.float64)
     return out
 
 
@@ -244,31 +246,38 @@ def turn_out(points: Array, turn: Turn, factor: float) -> Array:
     axes, signs = turn
     out = np.empty(points.shape, np.float64)
     for axis in range(3):
-        np.divide(points[..., axis], signs[axis] * factor, out=out[..., axes[axis]])
+        np.divide(points[..., axis], signs[axis] * factor, out=out[..., axes[axis]], dtype=np.float64)
     return out
 
 
-def guess_markers_up(names: Sequence[str], frames: Array, default: str) -> tuple[str, str]:
+def guess_markers_up(names: Sequence[str], frames: Array, plates: Array, default: str) -> tuple[str, str]:
     """The up axis of a marker file that names none, and the note that tells of the guess.
 
-    Shapes and units: ``frames`` (F, N, 3) are positions in the file's space, NaN where not seen. Markers of the head over
-    markers of the feet decide; without them ``default``.
+    Shapes and units: ``frames`` (F, N, 3) are positions in the file's space, NaN where not seen; ``plates`` (P, 4, 3) the
+    corners of force plates. A floor of force plates decides, then markers of the head above those of the feet, or above
+    all others; without them ``default``.
     """
+    said = "up axis: the file names none; taken as"
+    if len(plates):
+        extents = np.ptp(plates, axis=1)
+        flat = extents.argmin(axis=1)
+        if (flat == flat[0]).all() and (extents.min(axis=1) < 0.1 * extents.max(axis=1)).all():
+            return UP_AXES[flat[0]], f"{said} {UP_AXES[flat[0]]}, for the force plates lie across it"
     folded = [name.rsplit(":", 1)[-1].casefold() for name in names]
-    heads = [i for i, name in enumerate(folded) if any(word in name for word in _HEAD_MARKERS)]
-    feet = [i for i, name in enumerate(folded) if any(word in name for word in _FOOT_MARKERS)]
-    if heads and feet and len(frames):
-        upward = _mean_seen(frames[:, heads]) - _mean_seen(frames[:, feet])
+    heads = [i for i, name in enumerate(folded) if _HEAD_MARKER.match(name)]
+    feet = [i for i, name in enumerate(folded) if _FOOT_MARKER.match(name)]
+    others, least, what = feet, _UPRIGHT, "the feet"
+    if not feet:
+        others, least, what = [i for i in range(len(folded)) if i not in set(heads)], _LEANING, "the other markers"
+    if heads and others and len(frames):
+        upward = _mean_seen(frames[:, heads]) - _mean_seen(frames[:, others])
         upward = upward[np.isfinite(upward).all(axis=-1)]
         if len(upward):
             length = np.linalg.norm(upward, axis=-1)
-            for axis, column in (("Y", 1), ("Z", 2), ("X", 0)):
-                if float(np.mean(upward[:, column] > _UPRIGHT * length)) > 0.5:
-                    return (
-                        axis,
-                        f"up axis: the file names none; taken as {axis}, along which the head is above the feet",
-                    )
-    return default, f"up axis: the file names none; taken as {default}, as such files mostly have it (option up)"
+            for axis, column in (("Y", 1), ("Z", 2)):
+                if float(np.mean(upward[:, column] > least * length)) > 0.5:
+                    return axis, f"{said} {axis}, along which the head is above {what}"
+    return default, f"{said} {default}, as such files mostly have it (option up)"
 
 
 def _mean_seen(points: Array) -> Array:
