@@ -28,7 +28,7 @@ class LevelSpec:
 
     Units:
         triangles: share of the character's triangles, 0..1; at least ``fewest`` of them, or all.
-        joint_error_m: joints are dropped that move no vertex by more than this from where it is without them.
+        joint_error_m: joints are dropped that move no vertex by more than this from where it is without them; 0 keeps all.
         every: the steps from one update to the next.
         above: the level is for characters taller than this share of the view's height.
         capacity: characters at most; who is too much goes to the next level. None: no limit.
@@ -119,7 +119,7 @@ def build(
     for spec in specs:
         parts = [p for p in bound if p.name not in spec.without and len(p.mesh.triangles)]
         kept = np.asarray(character.skeleton.parents) < 0
-        kept |= moves > spec.joint_error_m
+        kept |= (moves > spec.joint_error_m) | (spec.joint_error_m == 0)
         for joint in range(len(kept) - 1, -1, -1):  # what is kept keeps its parents
             if kept[joint] and character.skeleton.parents[joint] >= 0:
                 kept[character.skeleton.parents[joint]] = True

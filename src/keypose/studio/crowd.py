@@ -20,7 +20,7 @@ import numpy as np
 
 from keypose.arrays import Array, Floats
 from keypose.errors import KeyposeError, ShapeError, UnknownName
-from keypose.model import Character, Material
+from keypose.model import Character, Material, Pose
 from keypose.play import detail as lod
 from keypose.play import graph as g
 from keypose.play import steering
@@ -40,14 +40,15 @@ WINDOW = 2
 """Frames that may be on their way or waiting to be drawn."""
 
 _LONGEST_STEP_S = 0.1
+_EXAMPLES = 12  # poses of each clip
 _ROOM_M2 = 7.5  # of ground for each character
 _NUMBERS = itertools.count(1)
 _levels: dict[int, tuple[Character, tuple[Level, ...]]] = {}
 _levels_lock = threading.Lock()
 
 
-def levels_of(character: Character) -> tuple[Level, ...]:
-    """Levels of detail of a character, built when they are first asked for."""
+def levels_of(character: Character, program: g.Program) -> tuple[Level, ...]:
+    """Levels of detail of a character, built when they are first asked for; the graph's clips are the examples."""
     from keypose import samples
     from keypose.samples import crowds as built_in
 
@@ -55,8 +56,22 @@ def levels_of(character: Character) -> tuple[Level, ...]:
         found = _levels.get(id(character))
         if found is None:
             own = character is samples.load("human").character
-            found = _levels[id(character)] = character, built_in.levels() if own else build(character)
+            found = _levels[id(character)] = (
+                character,
+                built_in.levels() if own else build(character, examples=_examples(program)),
+            )
         return found[1]
+
+
+def _examples(program: g.Program) -> Pose | None:
+    found: list[Pose] = []
+    for clip in program.assets:
+        frames = np.unique(np.linspace(0, len(clip.rotations) - 1, _EXAMPLES).astype(int))
+        found.append(Pose(clip.translations[frames], clip.rotations[frames], clip.scales[frames]))
+    if not found:
+        return None
+    joined = (np.concatenate([getattr(p, field) for p in found]) for field in ("translations", "rotations", "scales"))
+    return Pose(*joined)
 
 
 @dataclass(slots=True)
@@ -80,7 +95,7 @@ class CrowdShow:
         self.number = next(_NUMBERS)
         self.count, self.name, self.character = count, name, character
         self.radius_m = max(7.0, float(np.sqrt(count * _ROOM_M2 / np.pi)))
-        self.levels = levels_of(character)
+        self.levels = levels_of(character, program)
         heights = np.asarray(self.levels[-1].mesh.positions)[:, 1]
         self.height_m = float(heights.max() - min(heights.min(), 0.0))
         self.unit_m = 2.0 * max(self.height_m, 1e-3) / 32767
@@ -143,8 +158,9 @@ class CrowdShow:
 
     def _colors(self, materials: list[Material]) -> Floats:
         from keypose.samples import crowds as built_in
+        from keypose.samples.human import NAME
 
-        if self.character.name == "Robin":
+        if self.character.name == NAME:
             return built_in.outfits(materials, self.count, self.seed)
         return varied(materials, self.count, self.seed)
 
