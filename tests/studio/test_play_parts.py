@@ -18,6 +18,7 @@ from keypose.play import graph as g
 from keypose.samples import graphs
 from keypose.studio import describe, messages
 from keypose.studio.graphs import is_graph_name, open_graph
+from keypose.studio.pacing import SOONEST_S, Cadence
 from keypose.studio.player import Player, bake
 from keypose.studio.requests import parse_request
 
@@ -123,6 +124,51 @@ def test_a_recording_is_the_run_that_was_seen() -> None:
     assert np.allclose(run.root[0], 0)
     hips = world_rotations_positions(stage.character.skeleton, run.motion.pose)[1][0, 0]
     assert np.linalg.norm(hips[[0, 2]]) < 0.1
+
+
+@pytest.mark.parametrize("hz", [50.0, 55.0, 59.94, 60.0, 60.5])
+@pytest.mark.parametrize("offset", [0.0, 0.3, 0.6, 0.9])
+def test_steps_fall_in_with_the_pictures_of_the_page(hz: float, offset: float) -> None:
+    """Simulated: a step takes 3 ms, each way 1 ms, drawing 2 ms. After two seconds every picture shows one new step."""
+    cadence = Cadence(0.0)
+    steps: list[float] = []  # when each arrives
+    pictures, shown, news = 0, 0, []
+    now, free = 0.0, 0.0
+    acknowledged: list[float] = []
+    while now < 8.0:
+        picture = (pictures + offset) / hz
+        at = max(cadence.wait_s(now) + now, free)
+        if acknowledged and acknowledged[0] <= min(at, picture):
+            now = acknowledged.pop(0)
+            cadence.drawn(now)
+        elif picture <= at:
+            now = picture
+            pictures += 1
+            arrived = sum(step <= now for step in steps)
+            news.append(arrived - shown)
+            if arrived > shown:
+                acknowledged.append(now + 0.003)
+            shown = arrived
+        else:
+            now = at
+            cadence.step(now)
+            free = now + 0.003
+            steps.append(now + 0.004)
+    settled = news[int(2 * hz) :]
+    assert settled.count(1) >= len(settled) - 1, (settled.count(0), settled.count(2))
+
+
+def test_alone_steps_come_at_sixty_hertz_and_an_input_hastens_one() -> None:
+    cadence = Cadence(0.0)
+    now = 0.0
+    for _ in range(600):
+        now += cadence.wait_s(now)
+        cadence.step(now)
+    assert now == pytest.approx(10.0, rel=0.03)
+    cadence.hurry()
+    assert cadence.wait_s(now) == pytest.approx(SOONEST_S)
+    assert cadence.step(now + 5.0) == 5.0  # a stall is told as it is, and not caught up
+    assert cadence.wait_s(now + 5.0) == pytest.approx(1 / 60, rel=0.03)
 
 
 def test_reset_forgets_all_but_the_page() -> None:

@@ -1,6 +1,7 @@
 """The clock of a player: a thread that makes a step whenever it is time and the page has drawn what was sent before.
 
-Steps take real time, so nothing has to be caught up. A page that does not acknowledge (a hidden tab, a machine that
+Steps take real time, so nothing has to be caught up. They fall in with the page's own pictures: a step that is nearly due
+is made as soon as the page says that it has drawn, so that every picture shows one new step, and shows it fresh. A page that does not acknowledge (a hidden tab, a machine that
 cannot keep up) gets no further frames, and no steps are made for it: nothing piles up, and nothing is skipped.
 """
 
@@ -24,7 +25,49 @@ WINDOW_FOR_INPUT = 6
 SOONEST_S = 0.006
 """An input is obeyed at once, but not sooner than this after the last step."""
 
+PERIOD_S = 1.0 / RATE_HZ
+NEARLY_S = 0.8 * PERIOD_S
+DRIFT = 0.98
+"""Without a picture to fall in with, steps come a little faster than pictures do, until they meet one."""
+PATIENCE_S = 0.004
+"""And once they have met, the clock waits this much longer for the next picture before it goes alone."""
+
 Order = Callable[[Player], None]
+
+
+class Cadence:
+    """When the next step is due. Times are seconds of any clock."""
+
+    def __init__(self, now: float) -> None:
+        self._last = self._due = now
+        self._met = False
+
+    def wait_s(self, now: float) -> float:
+        """How long until the next step."""
+        return max(self._due - now, 0.0)
+
+    def hurry(self) -> None:
+        """There is an input: the next step comes soon."""
+        self._due = min(self._due, self._last + SOONEST_S)
+
+    def drawn(self, now: float) -> None:
+        """The page has drawn a step."""
+        if now - self._last >= NEARLY_S:
+            self._due, self._met = now, True
+
+    def begin(self, now: float) -> None:
+        """Time begins to run again: what passed does not count."""
+        self._last = self._due = now
+
+    def step(self, now: float) -> float:
+        """A step is made; how long after the one before."""
+        if self._met:
+            self._due, self._met = now + PERIOD_S + PATIENCE_S, False
+        else:
+            in_time = 0 <= now - self._due < PERIOD_S
+            self._due = (self._due if in_time else now) + DRIFT * PERIOD_S
+        passed, self._last = max(now - self._last, 0.0), now
+        return passed
 
 
 class Pacer:
@@ -50,7 +93,7 @@ class Pacer:
         self._sent = self._acknowledged = 0
         self._sent_at: dict[int, float] = {}
         self._round_trip_s = 0.0
-        self._last = self._due = perf_counter()
+        self._cadence = Cadence(perf_counter())
         self._first = True
         self._thread = threading.Thread(target=self._run, name="keypose player", daemon=True)
 
@@ -76,7 +119,7 @@ class Pacer:
         with self._changed:
             self._values.update(values)
             self._heard = max(self._heard, sequence)
-            self._due = min(self._due, self._last + SOONEST_S)
+            self._cadence.hurry()
             self._changed.notify()
 
     def acknowledge(self, number: int) -> None:
@@ -85,9 +128,10 @@ class Pacer:
             if not self._acknowledged < number <= self._sent:
                 return
             self._acknowledged = number
-            at = self._sent_at.get(number)
+            now, at = perf_counter(), self._sent_at.get(number)
             if at is not None:
-                self._round_trip_s = perf_counter() - at
+                self._round_trip_s = now - at
+            self._cadence.drawn(now)
             for old in [n for n in self._sent_at if n <= number]:
                 del self._sent_at[old]
             self._changed.notify()
@@ -96,7 +140,7 @@ class Pacer:
         """Stop or slow time."""
         with self._changed:
             if self._paused and not paused:
-                self._last = self._due = perf_counter()  # the pause itself is no time
+                self._cadence.begin(perf_counter())  # the pause itself is no time
             self._paused, self._speed = paused, min(max(speed, 0.05), 4.0)
             self._changed.notify()
 
@@ -141,8 +185,7 @@ class Pacer:
                 self._changed.wait(wait_s)
             if self._closed:
                 return False
-            now = perf_counter()
-            dt_s = self._time(now)
+            dt_s = self._time_s(self._cadence.step(perf_counter()))
             values, self._values = self._values, {}
             orders, self._orders = self._orders, []
             heard, round_trip_s = self._heard, self._round_trip_s
@@ -165,18 +208,14 @@ class Pacer:
             return 0.0
         if self._paused:
             return 0.0 if self._values else None
-        return max(self._due - perf_counter(), 0.0)
+        return self._cadence.wait_s(perf_counter())
 
-    def _time(self, now: float) -> float:
-        """How much time the step takes; sets when the next one is due."""
-        real = min(max(now - self._last, 0.0), LONGEST_STEP_S)
-        self._last = now
-        in_time = 0 <= now - self._due < 1.0 / RATE_HZ
-        self._due = (self._due if in_time else now) + 1.0 / RATE_HZ
+    def _time_s(self, passed_s: float) -> float:
+        """How much time of the character a step takes."""
         if self._first:
             self._first = False
             return 0.0
         if self._single:
             self._single -= 1
-            return 1.0 / RATE_HZ
-        return 0.0 if self._paused else real * self._speed
+            return PERIOD_S
+        return 0.0 if self._paused else min(passed_s, LONGEST_STEP_S) * self._speed
