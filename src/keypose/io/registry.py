@@ -77,6 +77,11 @@ def _is_makehuman(head: bytes) -> bool:
     return text.startswith(b"{") and b'"bones"' in text and b'"rotation_plane"' in text
 
 
+def _is_fbx(head: bytes) -> bool:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return head.startswith(b"Kaydara FBX Binary") or text.startswith((b"; FBX", b";FBX", b"FBXHeaderExtension"))
+
+
 _formats: dict[str, Format] = {}
 
 
@@ -89,6 +94,7 @@ register(Format("bvh", (".bvh",), _is_bvh, "keypose.io.bvh:read", "keypose.io.bv
 register(
     Format("gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf:read", "keypose.io.gltf:write"),
 )
+register(Format("fbx", (".fbx",), _is_fbx, "keypose.io.fbx:read", "keypose.io.fbx:write"))
 register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
