@@ -111,6 +111,17 @@ def test_near_ones_are_drawn_fine_and_far_ones_coarse(crowd: StudioPage) -> None
     crowd.until(lambda: sum(n > 0 for n in now(crowd)["inLevel"]) >= 2, "several levels", 60)
 
 
+def test_faces_of_the_near_ones_live(crowd: StudioPage) -> None:
+    crowd.ask("crowdLookFrom", [0, 1.6, 2.5], [0, 1.4, 0])
+    crowd.until(lambda: now(crowd)["inLevel"][0] > 0, "somebody near is fine", 60)
+
+    def moved() -> bool:
+        near = [n for n, level in enumerate(now(crowd)["levels"]) if level == 0]
+        return any(max(crowd.ask("crowdMorphs", n)) > 0.1 for n in near)
+
+    crowd.until(moved, "a face moves", 60)
+
+
 def test_a_hidden_tab_gets_nothing_and_nothing_piles_up(crowd: StudioPage) -> None:
     crowd.ask("crowdHide", True)
     crowd.page.wait_for_timeout(600)

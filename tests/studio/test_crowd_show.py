@@ -50,6 +50,11 @@ def test_what_stays_is_sent_once(show: CrowdShow) -> None:
         assert read(data["triangles"]).max() < level.mesh.vertex_count
         assert read(data["joints"]).max() < data["palette"] == len(level.skin.palette)
         assert read(data["materials"]).max() < len(header["materials"])
+    morphs = header["levels"][0]["morphs"]
+    starts, vertices = read(morphs["starts"]), read(morphs["vertices"])
+    assert len(starts) == header["morphs"] + 1 and starts[-1] == len(vertices)
+    assert vertices.max() < show.levels[0].mesh.vertex_count
+    assert all(data["morphs"] is None for data in header["levels"][1:])
     errors = [data["error_mm"] for data in header["levels"]]
     assert errors[0] == 0 and errors == sorted(errors)
     colors = read(header["colors"])
@@ -83,6 +88,27 @@ def test_matrices_are_those_of_the_crowd(show: CrowdShow) -> None:
             assert np.abs(got - true).max() < 2e-4
             checked += 1
     assert checked > 8
+
+
+def test_faces_move_as_deform_moves_them(show: CrowdShow) -> None:
+    from keypose import deform
+
+    header, read = arrays(show.ready())
+    level, data = show.levels[0], header["levels"][0]["morphs"]
+    names = list(show._morphs)
+    assert "eyeBlinkLeft" in names and len(names) == header["morphs"]
+    character = show.character
+    for name in ("eyeBlinkLeft", names[-1]):
+        m = names.index(name)
+        at = slice(*read(data["starts"])[m : m + 2])
+        moved = level.mesh.positions.copy()
+        np.add.at(moved, read(data["vertices"])[at], read(data["position_deltas"])[at])
+        weights = np.zeros(len(character.morph_names))
+        weights[character.morph_index(name)] = 1.0
+        for n, part in enumerate(character.parts):
+            if part.morphs is not None:
+                true = deform.morph(part.mesh, part.morphs, weights[part.morph_channels])
+                assert np.abs(moved[level.parts == n] - true[level.vertices[level.parts == n]]).max() < 1e-6
 
 
 def test_the_near_ones_are_sent_each_time_and_the_far_ones_in_turn(stage: Stage) -> None:

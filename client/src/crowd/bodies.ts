@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import type { CrowdLevel, CrowdReady } from "../generated/messages";
 import { Arrays, type Container } from "../net/container";
+import { FACE_DECLARATIONS, Faces } from "./faces";
 import type { Population } from "./population";
 
 export const MOST_MATERIALS = 32;
@@ -41,12 +42,13 @@ const MOVE = /* glsl */ `
   crowdAdd(crowdWeights.w, crowdJoints.w);
 `;
 const POSITION = /* glsl */ `
-  vec4 crowdPoint = vec4(position, 1.0);
+  vec4 crowdPoint = vec4(position CROWD_MOVED, 1.0);
   vec3 transformed = crowdTurned(vec3(dot(crowdX, crowdPoint), dot(crowdY, crowdPoint), dot(crowdZ, crowdPoint)));
   transformed.xz += crowdPlace.xy;
 `;
 const NORMAL = /* glsl */ `
-  vec3 objectNormal = crowdTurned(vec3(dot(crowdX.xyz, normal), dot(crowdY.xyz, normal), dot(crowdZ.xyz, normal)));
+  vec3 crowdNormal = normal CROWD_TURNED;
+  vec3 objectNormal = crowdTurned(vec3(dot(crowdX.xyz, crowdNormal), dot(crowdY.xyz, crowdNormal), dot(crowdZ.xyz, crowdNormal)));
 `;
 
 interface Shared {
@@ -57,26 +59,37 @@ interface Shared {
   glow: { value: number };
 }
 
-function moving<M extends THREE.Material>(material: M, shared: Shared, more: (shader: THREE.WebGLProgramParametersWithUniforms) => void, key: string): M {
+function moving<M extends THREE.Material>(
+  material: M,
+  shared: Shared,
+  faces: Faces | null,
+  more: (shader: THREE.WebGLProgramParametersWithUniforms) => void,
+  key: string,
+): M {
+  const macros = faces
+    ? `${FACE_DECLARATIONS}\n#define CROWD_MOVED + crowdMorph(0)\n#define CROWD_TURNED + crowdMorph(1)`
+    : "#define CROWD_MOVED\n#define CROWD_TURNED";
   material.onBeforeCompile = (shader) => {
+    if (faces) Object.assign(shader.uniforms, faces.uniforms);
     shader.uniforms.crowdMatrices = shared.matrices;
     shader.uniforms.crowdUnit = shared.unit;
     shader.vertexShader = shader.vertexShader
-      .replace("#include <common>", `#include <common>\n${DECLARATIONS}`)
+      .replace("#include <common>", `#include <common>\n${DECLARATIONS}\n${macros}`)
       .replace("void main() {", `void main() {\n${MOVE}`)
       .replace("#include <beginnormal_vertex>", NORMAL)
       .replace("#include <begin_vertex>", POSITION);
     more(shader);
   };
-  material.customProgramCacheKey = () => `crowd ${key}`;
+  material.customProgramCacheKey = () => `crowd ${key} ${faces !== null}`;
   return material;
 }
 
-function surface(shared: Shared, tint: { value: THREE.Vector4 }): THREE.MeshStandardMaterial {
+function surface(shared: Shared, faces: Faces | null, tint: { value: THREE.Vector4 }): THREE.MeshStandardMaterial {
   const made = new THREE.MeshStandardMaterial({ shadowSide: THREE.BackSide });
   return moving(
     made,
     shared,
+    faces,
     (shader) => {
       shader.uniforms.crowdColors = shared.colors;
       shader.uniforms.crowdSurfaces = shared.surfaces;
@@ -117,11 +130,13 @@ class LevelMesh {
   readonly mesh: THREE.Mesh<THREE.InstancedBufferGeometry, THREE.MeshStandardMaterial>;
   readonly tint = { value: new THREE.Vector4(0, 0, 0, 0) };
   readonly triangles: number;
+  readonly faces: Faces | null;
   private readonly places: THREE.InstancedBufferAttribute;
   private readonly rows: THREE.InstancedBufferAttribute;
   shown = 0;
 
-  constructor(data: CrowdLevel, number: number, arrays: Arrays, count: number, shared: Shared) {
+  constructor(data: CrowdLevel, number: number, arrays: Arrays, population: Population, shared: Shared) {
+    const { count } = population;
     const geometry = new THREE.InstancedBufferGeometry();
     const materials = arrays.uint8(data.materials), shades = arrays.float32(data.shades);
     const shade = new Float32Array(4 * materials.length);
@@ -143,10 +158,11 @@ class LevelMesh {
     geometry.setAttribute("crowdRows", this.rows);
     geometry.instanceCount = 0;
     this.triangles = data.triangles.shape[0];
+    this.faces = data.morphs && new Faces(geometry, data.morphs, arrays, population.morphs, population.ready.morphs);
     const color = new THREE.Color(LEVEL_COLORS[number % LEVEL_COLORS.length]);
     this.tint.value.set(color.r, color.g, color.b, 0);
-    this.mesh = new THREE.Mesh(geometry, surface(shared, this.tint));
-    this.mesh.customDepthMaterial = moving(new THREE.MeshDepthMaterial(), shared, () => {}, "depth");
+    this.mesh = new THREE.Mesh(geometry, surface(shared, this.faces, this.tint));
+    this.mesh.customDepthMaterial = moving(new THREE.MeshDepthMaterial(), shared, this.faces, () => {}, "depth");
     this.mesh.frustumCulled = false; // the instances are, one by one
     this.mesh.receiveShadow = true;
   }
@@ -177,6 +193,7 @@ class LevelMesh {
     this.mesh.geometry.dispose();
     this.mesh.material.dispose();
     this.mesh.customDepthMaterial?.dispose();
+    this.faces?.dispose();
   }
 }
 
@@ -205,7 +222,7 @@ export class Bodies {
       return m ? new THREE.Vector3(m.roughness, m.metallic, Math.max(...m.emissive)) : new THREE.Vector3(0.8, 0, 0);
     });
     this.shared = { matrices: { value: matrices }, unit: { value: header.unit_m }, colors: { value: colors }, surfaces: { value: surfaces }, glow: { value: 1 } };
-    this.levels = header.levels.map((data, n) => new LevelMesh(data, n, arrays, count, this.shared));
+    this.levels = header.levels.map((data, n) => new LevelMesh(data, n, arrays, population, this.shared));
     this.blobs = new Blobs(count, header.height_m);
     this.root.add(this.blobs.mesh, ...this.levels.map((l) => l.mesh));
   }
@@ -228,6 +245,7 @@ export class Bodies {
     const { population, frustum, sphere } = this, { roots, rows, level, ready } = population;
     if (population.fresh) {
       this.shared.matrices.value.needsUpdate = true;
+      for (const mesh of this.levels) mesh.faces?.changed();
       population.fresh = false;
     }
     frustum.setFromProjectionMatrix(this.matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse));

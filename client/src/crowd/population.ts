@@ -11,6 +11,8 @@ export class Population {
   /** Texels of four 16-bit numbers in a row: three for each joint. */
   readonly width: number;
   readonly joints: Int16Array;
+  /** Weights of the faces' morphs, a row for each character; those of coarse levels stay as they were. */
+  readonly morphs: Uint8Array<ArrayBuffer>;
   readonly level: Uint8Array;
   /** Place as it is drawn now: x, z, yaw. */
   readonly roots: Float32Array;
@@ -37,6 +39,7 @@ export class Population {
     this.count = ready.count;
     this.width = 3 * Math.max(...ready.levels.map((l) => l.palette));
     this.joints = new Int16Array(4 * this.width * 2 * this.count);
+    this.morphs = new Uint8Array(Math.max(1, ready.morphs) * this.count);
     this.level = new Uint8Array(this.count);
     this.roots = new Float32Array(3 * this.count);
     this.rows = new Float32Array(3 * this.count);
@@ -71,10 +74,11 @@ export class Population {
     header.updates.forEach((update, level) => {
       const who = arrays.uint16(update.who), raw = arrays.uint16(update.matrices);
       const values = new Int16Array(raw.buffer, raw.byteOffset, raw.length);
-      const size = 12 * this.ready.levels[level].palette;
+      const size = 12 * this.ready.levels[level].palette, faces = this.ready.morphs, weights = arrays.uint8(update.morphs);
       for (let n = 0; n < who.length; n++) {
         const character = who[n], o = 3 * character;
         const [newest, before] = this.drawnLevel[character] < 0 ? [2 * character, 2 * character + 1] : [this.rows[o + 1], this.rows[o]];
+        if (weights.length > 0) this.morphs.set(weights.subarray(n * faces, (n + 1) * faces), faces * character);
         this.joints.set(values.subarray(n * size, (n + 1) * size), 4 * this.width * newest);
         const same = this.drawnLevel[character] === level && !jump;
         this.drawnLevel[character] = level;
@@ -105,6 +109,12 @@ export class Population {
     // characters of the slowest level take the longest to arrive
     this.settled = share >= 1 && now - this.arrived > this.interval * Math.max(...this.every);
     return true;
+  }
+
+  /** One character's morph weights, 0 to 1: for tests. */
+  morphsOf(character: number): number[] {
+    const { morphs } = this.ready;
+    return Array.from(this.morphs.subarray(morphs * character, morphs * (character + 1)), (v) => v / 255);
   }
 
   /** One character's skin matrices as they were sent, 3x4 by rows in metres: for tests. */

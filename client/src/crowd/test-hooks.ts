@@ -29,6 +29,7 @@ export const crowdHooks = {
   }),
   crowdRoots: () => [...(crowd.population?.roots ?? [])],
   crowdMatrices: (character: number) => crowd.population!.matricesOf(character),
+  crowdMorphs: (character: number) => crowd.population!.morphsOf(character),
   crowdCamera: () => ({ position: stage!.orbit.camera.position.toArray(), target: stage!.orbit.target.toArray() }),
   /** Look from here to there. */
   crowdLookFrom: (eye: number[], target: number[]) => {

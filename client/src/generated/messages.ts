@@ -443,6 +443,7 @@ export interface CrowdLevel {
   weights: ArrayRef;
   materials: ArrayRef;
   shades: ArrayRef;
+  morphs: MorphData | null;
   palette: number;
   joint_count: number;
   above: number;
@@ -464,6 +465,7 @@ export interface CrowdReady {
   behaviour: string;
   materials: CrowdMaterial[];
   colors: ArrayRef;
+  morphs: number;
   levels: CrowdLevel[];
 }
 
@@ -471,6 +473,7 @@ export interface CrowdReady {
 export interface CrowdUpdate {
   who: ArrayRef;
   matrices: ArrayRef;
+  morphs: ArrayRef;
 }
 
 /** One step of a crowd. */

@@ -17,8 +17,8 @@ _INSIDE = ("upper_teeth", "lower_teeth", "tongue")
 _TRIMMINGS = (*_INSIDE, "mouth", "lashes", "catchlights", "laces", "seams", "zip", "pockets")
 
 SPECS = (
-    LevelSpec(above=0.42),
-    LevelSpec(0.40, 0.008, above=0.16, without=_INSIDE),
+    LevelSpec(above=0.42, capacity=40),
+    LevelSpec(0.40, 0.008, above=0.16, capacity=160, without=_INSIDE),
     LevelSpec(0.125, 0.03, 2, above=0.055, without=_TRIMMINGS),
     LevelSpec(0.05, 0.06, 4, without=_TRIMMINGS),
 )

@@ -40,6 +40,7 @@ WINDOW = 2
 """Frames that may be on their way or waiting to be drawn."""
 
 _LONGEST_STEP_S = 0.1
+_SEEN = 0.02  # a morph weight that is never larger is left out
 _EXAMPLES = 12  # poses of each clip
 _ROOM_M2 = 7.5  # of ground for each character
 _NUMBERS = itertools.count(1)
@@ -105,6 +106,7 @@ class CrowdShow:
         self.crowd = g.prepare_crowd(program, count, roots=steering.place(count, self.radius_m, seed), levels=dropped)
         self.detail = lod.prepare(self.levels, count)
         self.seed = seed
+        self._morphs = _used_morphs(program, character)
         self.time_s, self._frames = 0.0, 0
         self._costs: deque[tuple[float, float]] = deque(maxlen=30)
 
@@ -129,6 +131,7 @@ class CrowdShow:
                 for m in materials
             ],
             colors=body.add(np.rint(255 * _srgb(self._colors(materials))), "uint8"),
+            morphs=len(self._morphs),
             levels=[self._level(level, of_part, body) for level in self.levels],
         )
         return pack(header, body)
@@ -148,12 +151,41 @@ class CrowdShow:
             weights=body.add(level.skin.weights, "float32"),
             materials=body.add(of_part[level.parts], "uint8"),
             shades=body.add(shades, "float32"),
+            morphs=self._level_morphs(level, body) if level is self.levels[0] and self._morphs else None,
             palette=len(level.skin.palette),
             joint_count=level.joint_count,
             above=level.spec.above,
             every=level.spec.every,
             error_mm=1e3 * level.error.max_m,
             motion_error_mm=0.0 if motion is None else 1e3 * motion.max_m,
+        )
+
+    def _level_morphs(self, level: Level, body: Body) -> messages.MorphData:
+        """What the graph's curves move, for the finest level, which has all vertices where they are."""
+        names, rows = self.character.morph_names, dict[str, list[tuple[Array, Array, Array]]]()
+        for n, part in enumerate(self.character.parts):
+            if part.morphs is None or part.morph_channels is None:
+                continue
+            place = np.full(part.mesh.vertex_count, -1)
+            place[level.vertices[level.parts == n]] = np.nonzero(level.parts == n)[0]
+            for target, channel in enumerate(part.morph_channels):
+                at = slice(int(part.morphs.starts[target]), int(part.morphs.starts[target + 1]))
+                moved, turned = part.morphs.position_deltas[at], part.morphs.normal_deltas
+                vertices = place[part.morphs.vertices[at]]
+                turned = np.zeros_like(moved) if turned is None else turned[at]
+                shown = vertices >= 0
+                rows.setdefault(names[channel], []).append((vertices[shown], moved[shown], turned[shown]))
+        starts, found = [0], list[tuple[Array, Array, Array]]()
+        for name in self._morphs:
+            found += rows[name]
+            starts.append(starts[-1] + sum(len(r[0]) for r in rows[name]))
+        vertices, moved, turned = (np.concatenate([r[k] for r in found]) for k in range(3))
+        return messages.MorphData(
+            channels=body.add(np.arange(len(self._morphs)), "int32"),
+            starts=body.add(starts, "uint32"),
+            vertices=body.add(vertices, "uint32"),
+            position_deltas=body.add(moved, "float32"),
+            normal_deltas=body.add(turned, "float32"),
         )
 
     def _colors(self, materials: list[Material]) -> Floats:
@@ -188,14 +220,22 @@ class CrowdShow:
             roots=body.add(self.crowd.roots, "float32"),
             levels=body.add(self.detail.level, "uint8"),
             updates=[
-                messages.CrowdUpdate(body.add(who, "uint16"), body.add(small.view(np.uint16), "uint16"))
-                for who, small in updates
+                messages.CrowdUpdate(
+                    body.add(who, "uint16"),
+                    body.add(small.view(np.uint16), "uint16"),
+                    body.add(self._weights(who if n == 0 else who[:0]), "uint8"),
+                )
+                for n, (who, small) in enumerate(updates)
             ],
             steer_us=steer_us,
             animate_us=animate_us,
             pack_us=1e6 * (perf_counter() - moved + chosen - began),
         )
         return pack(header, body)
+
+    def _weights(self, who: Array) -> Array:
+        weights = self.crowd.morph_weights[who][:, list(self._morphs.values())]
+        return np.rint(255 * np.clip(weights, 0.0, 1.0))
 
     def _due(self, dt_s: float) -> list[Any]:
         """Whose joints are sent: where time stands, only those of characters with a new level."""
@@ -240,6 +280,22 @@ def _check_driven(program: g.Program) -> None:
                 f"a crowd is steered by the parameters 'speed' (m/s) and 'turn' (degrees per second); the graph has "
                 f"{', '.join(repr(n) for n in program.inputs) or 'none'}"
             )
+
+
+def _used_morphs(program: g.Program, character: Character) -> dict[str, int]:
+    """The curves that a clip ever moves and a part has morphs for, and their numbers."""
+    driven = {
+        character.morph_names[channel]
+        for part in character.parts
+        if part.morph_channels is not None
+        for channel in part.morph_channels
+    }
+    peaks = np.max([np.abs(clip.curves).max(axis=0) for clip in program.assets], axis=0) if program.assets else ()
+    return {
+        name: n
+        for n, (name, peak) in enumerate(zip(program.curve_names, peaks, strict=False))
+        if peak > _SEEN and name in driven
+    }
 
 
 def _dropped(names: tuple[str, ...], level: Level, parents: Array) -> list[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from keypose.studio.scene_messages import ArrayRef
+from keypose.studio.scene_messages import ArrayRef, MorphData
 
 PROTOCOL = 2
 """Version of the messages; the client refuses another one and says so."""
@@ -432,7 +432,8 @@ class CrowdLevel:
 
     Arrays: ``positions`` and ``normals`` (V, 3) float32; ``triangles`` (F, 3) uint32; ``joints`` (V, 4) uint8, places in
     the level's palette; ``weights`` (V, 4) float32; ``materials`` (V,) uint8; ``shades`` (V, 3) float32, linear, times the
-    material's colour. ``above``: for characters taller than this share of the view. Errors are the largest, in mm.
+    material's colour; ``morphs`` are the crowd's (`CrowdUpdate.morphs`), or None. ``above``: for characters taller than this
+    share of the view. Errors are the largest, in mm.
     """
 
     positions: ArrayRef
@@ -442,6 +443,7 @@ class CrowdLevel:
     weights: ArrayRef
     materials: ArrayRef
     shades: ArrayRef
+    morphs: MorphData | None
     palette: int
     joint_count: int
     above: float
@@ -465,15 +467,21 @@ class CrowdReady:
     behaviour: str
     materials: list[CrowdMaterial]
     colors: ArrayRef
+    morphs: int
+    """How many morphs the levels that have any share."""
     levels: list[CrowdLevel]
 
 
 @dataclass(frozen=True, slots=True)
 class CrowdUpdate:
-    """Characters of one level whose joints are new: ``who`` (K,) uint16, ``matrices`` (K, P, 12) uint16, to be read as int16."""
+    """Characters of one level whose joints are new: ``who`` (K,) uint16, ``matrices`` (K, P, 12) uint16, to be read as int16.
+
+    ``morphs`` (K, M) uint8: weights of 0 to 1 in 255ths, where the level has morphs.
+    """
 
     who: ArrayRef
     matrices: ArrayRef
+    morphs: ArrayRef
 
 
 @dataclass(frozen=True, slots=True)
