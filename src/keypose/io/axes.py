@@ -193,6 +193,8 @@ _FEWEST_LETTERS = 3
 _SIDE = r"(?:l|r|left|right)?[^a-z]*(?:top|front|back|rear)?[^a-z]*"
 _HEAD_MARKER = re.compile(_SIDE + r"(?:head|forehead|fhd|bhd|thd|vertex|c7)")
 _FOOT_MARKER = re.compile(_SIDE + r"(?:toe|heel|hee|ankle|ank|foot|calc|mt1|mt5)(?![a-z]*chair)")
+_SHOULDER_MARKER = re.compile(_SIDE + r"(?:clav|ster|strn|stern|acro|sho|t1(?!\d))")
+_PELVIS_MARKER = re.compile(_SIDE + r"(?:asi|psi|sac|pelvis|pelv|hip|waist)")
 _LEANING = 0.6  # cosine between an axis and the direction to the head from all other markers
 
 Turn = tuple[tuple[int, int, int], tuple[float, float, float]]
@@ -254,8 +256,8 @@ def guess_markers_up(names: Sequence[str], frames: Array, plates: Array, default
     """The up axis of a marker file that names none, and the note that tells of the guess.
 
     Shapes and units: ``frames`` (F, N, 3) are positions in the file's space, NaN where not seen; ``plates`` (P, 4, 3) the
-    corners of force plates. A floor of force plates decides, then markers of the head above those of the feet, or above
-    all others; without them ``default``.
+    corners of force plates. A floor of force plates decides, then markers of the head above those of the feet,
+    shoulders above the pelvis, the head above all others; without them ``default``.
     """
     said = "up axis: the file names none; taken as"
     if len(plates):
@@ -264,19 +266,24 @@ def guess_markers_up(names: Sequence[str], frames: Array, plates: Array, default
         if (flat == flat[0]).all() and (extents.min(axis=1) < 0.1 * extents.max(axis=1)).all():
             return UP_AXES[flat[0]], f"{said} {UP_AXES[flat[0]]}, for the force plates lie across it"
     folded = [name.rsplit(":", 1)[-1].casefold() for name in names]
-    heads = [i for i, name in enumerate(folded) if _HEAD_MARKER.match(name)]
-    feet = [i for i, name in enumerate(folded) if _FOOT_MARKER.match(name)]
-    others, least, what = feet, _UPRIGHT, "the feet"
-    if not feet:
-        others, least, what = [i for i in range(len(folded)) if i not in set(heads)], _LEANING, "the other markers"
-    if heads and others and len(frames):
-        upward = _mean_seen(frames[:, heads]) - _mean_seen(frames[:, others])
+    heads, feet, shoulders, pelvis = (
+        [i for i, name in enumerate(folded) if pattern.match(name)]
+        for pattern in (_HEAD_MARKER, _FOOT_MARKER, _SHOULDER_MARKER, _PELVIS_MARKER)
+    )
+    others = sorted(set(range(len(folded))) - set(heads))
+    for above, below, least, what in (
+        (heads, feet, _UPRIGHT, "the head is above the feet"),
+        (shoulders, pelvis, _UPRIGHT, "the shoulders are above the pelvis"),
+        (heads, others, _LEANING, "the head is above the other markers"),
+    ):
+        if not (above and below and len(frames)):
+            continue
+        upward = _mean_seen(frames[:, above]) - _mean_seen(frames[:, below])
         upward = upward[np.isfinite(upward).all(axis=-1)]
-        if len(upward):
-            length = np.linalg.norm(upward, axis=-1)
-            for axis, column in (("Y", 1), ("Z", 2)):
-                if float(np.mean(upward[:, column] > least * length)) > 0.5:
-                    return axis, f"{said} {axis}, along which the head is above {what}"
+        length = np.linalg.norm(upward, axis=-1)
+        for axis, column in (("Y", 1), ("Z", 2)):
+            if len(upward) and float(np.mean(upward[:, column] > least * length)) > 0.5:
+                return axis, f"{said} {axis}, along which {what}"
     return default, f"{said} {default}, as such files mostly have it (option up)"
 
 

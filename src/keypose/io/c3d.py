@@ -10,7 +10,6 @@ Source: The C3D File Format, A Technical User Guide (Motion Lab Systems, 2021).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +33,7 @@ from keypose.io.c3d_events import read_events
 from keypose.io.c3d_parameters import BLOCK, find, number, numbers, parse, strings
 from keypose.io.c3d_plates import read_plates
 from keypose.io.c3d_writer import write as write
+from keypose.io.marker_tables import unique_names
 from keypose.io.text import shown
 from keypose.model import Markers, Scene, Signals
 
@@ -245,27 +245,7 @@ class _Reader:
         if len(labels) < self.points:
             self.notes.append(f"{self.points - len(labels)} of {self.points} points have no label")
         labels = (labels + [""] * self.points)[: self.points]
-        return labels, self.unique(labels, "point")
-
-    def unique(self, labels: Sequence[str], word: str) -> list[str]:
-        taken = {label.strip() for label in labels}
-        done: set[str] = set()
-        names: list[str] = []
-        changed: list[str] = []
-        for i, label in enumerate(labels):
-            stem = name = label.strip() or f"{word}_{i + 1}"
-            count = 1
-            while name in done or (name != label.strip() and name in taken):
-                count += 1
-                name = f"{stem}_{count}"
-            if name != label.strip():
-                changed.append(f"{shown(label)} -> '{name}'")
-            done.add(name)
-            names.append(name)
-        if changed:
-            listed = ", ".join(changed[:4]) + (", …" if len(changed) > 4 else "")
-            self.notes.append(f"{word} labels that were empty or came twice were changed: {listed}")
-        return names
+        return labels, unique_names(labels, "point", self.notes)
 
     def unit(self) -> float:
         word = next(iter(strings(self.groups, "POINT", "UNITS")), "")
@@ -403,7 +383,7 @@ class _Reader:
             return [], ()
         labels = strings(self.groups, "ANALOG", "LABELS")
         labels = (labels + [""] * self.channels)[: self.channels]
-        names = self.unique(labels, "channel")
+        names = unique_names(labels, "channel", self.notes)
         unsigned = next(iter(strings(self.groups, "ANALOG", "FORMAT")), "").strip().upper() == "UNSIGNED"
         offsets = self.per_channel("OFFSET", 0.0, unsigned=unsigned)
         general = number(self.groups, "ANALOG", "GEN_SCALE")
