@@ -63,6 +63,15 @@ def _is_c3d(head: bytes) -> bool:
     return len(head) >= 512 and head[0] > 0 and head[1] == 0x50 and b"\0\0" in head[:512]
 
 
+def _is_trc(head: bytes) -> bool:
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:12].lower() == b"pathfiletype"
+
+
+def _is_csm(head: bytes) -> bool:
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    return text.startswith(b"$") and (b"$order" in text or b"$firstframe" in text)
+
+
 def _is_obj(head: bytes) -> bool:
     for line in head.removeprefix(b"\xef\xbb\xbf").splitlines():
         words = line.split()
@@ -99,6 +108,8 @@ register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
 register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
+register(Format("trc", (".trc",), _is_trc, "keypose.io.trc:read", "keypose.io.trc:write"))
+register(Format("csm", (".csm",), _is_csm, "keypose.io.csm:read", "keypose.io.csm:write"))
 register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.obj:write"))
 
 
