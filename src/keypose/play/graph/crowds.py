@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -261,9 +262,11 @@ def animate_crowd(crowd: GraphCrowd, dt_s: float) -> Array:
     if len(crowd.workers) == 1:
         _run(crowd, crowd.workers[0], dt_s)
     else:
-        with ThreadPoolExecutor(len(crowd.workers)) as pool:
-            for done in [pool.submit(_run, crowd, w, dt_s) for w in crowd.workers]:
-                done.result()
+        first, *others = crowd.workers
+        waiting = [_threads(len(others)).submit(_run, crowd, w, dt_s) for w in others]
+        _run(crowd, first, dt_s)
+        for done in waiting:
+            done.result()
     return crowd.models
 
 
@@ -309,6 +312,12 @@ def _queued(crowd: GraphCrowd) -> list[tuple[int, int, int, int, float]]:
         rows = w.parts["queue"].reshape(-1, k.QUEUE_ROW)[:used].tolist()
         found += [(*row, weight) for row, weight in zip(rows, w.parts["queue_weights"][:used].tolist(), strict=True)]
     return found
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Threads that stay: to start one takes as long as a hundred characters."""
+    return ThreadPoolExecutor(count, "keypose crowd")
 
 
 def _run(crowd: GraphCrowd, worker: _Worker, dt_s: float) -> None:
