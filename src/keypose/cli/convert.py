@@ -80,11 +80,24 @@ def _bvh_conventions(scene: Scene, out_unit: str | None) -> dict[str, Any]:
     return {"unit": unit_m, "up": up}
 
 
+def _conventions(scene: Scene, output: Path, out_unit: str | None) -> dict[str, Any]:
+    """Unit and axes of a written file whose format says them not at all or in part; empty for others."""
+    suffix = output.suffix.lower()
+    if suffix == ".bvh":
+        return _bvh_conventions(scene, out_unit)
+    if suffix in (".trc", ".csm"):
+        from keypose.io.marker_tables import written_as
+
+        unit_m, up = written_as(scene, suffix[1:].upper(), None if out_unit is None else unit_option(out_unit))
+        return {"unit": unit_m, "up": up}
+    return {}
+
+
 def _read_back(scene: Scene, output: Path, out_unit: str | None) -> Scene:
-    """The file as it was meant: a BVH file is read in the unit and axes it was written in."""
+    """The file as it was meant: one that does not say its unit or axes is read in those it was written in."""
     from keypose import io
 
-    return io.load(output, **(_bvh_conventions(scene, out_unit) if output.suffix.lower() == ".bvh" else {}))
+    return io.load(output, **_conventions(scene, output, out_unit))
 
 
 def _unsaid(scene: Scene, output: Path, out_unit: str | None) -> list[str]:
@@ -92,14 +105,16 @@ def _unsaid(scene: Scene, output: Path, out_unit: str | None) -> list[str]:
     from keypose import io
     from keypose.io.axes import unit_name
 
-    if output.suffix.lower() != ".bvh":
+    meant = _conventions(scene, output, out_unit)
+    if not meant:
         return []
-    meant, guessed = _bvh_conventions(scene, out_unit), io.load(output)
+    guessed = io.load(output)
     if abs(guessed.unit_m / meant["unit"] - 1) < 1e-6 and guessed.up == meant["up"]:
         return []
     return [
-        f"BVH says neither unit nor axes: read it with --unit {unit_name(meant['unit']).removesuffix(' m')} "
-        f"--up {meant['up']}; by its size it looks like {unit_name(guessed.unit_m)}, {guessed.up} up"
+        f"{output.suffix[1:].upper()} does not say its {'axes' if guessed.format == 'trc' else 'unit and axes'}: read it with "
+        f"--unit {unit_name(meant['unit']).removesuffix(' m')} --up {meant['up']}; it looks like "
+        f"{unit_name(guessed.unit_m)}, {guessed.up} up"
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 from keypose.cli.console import console
@@ -25,7 +26,13 @@ def describe(scene: Scene) -> dict[str, Any]:
         clips.append({"name": animation.name, "frames": frames, "rate_hz": rate, "duration_s": animation.duration_s})
     names = [name for c in scene.characters for name in c.skeleton.names]
     morphs = [name for c in scene.characters for name in c.morph_names]
-    first: dict[str, Any] = clips[0] if clips else {"frames": None, "rate_hz": None, "duration_s": None}
+    first: dict[str, Any] = {"frames": None, "rate_hz": None, "duration_s": None}
+    if clips:
+        first = clips[0]
+    elif scene.markers:
+        markers = scene.markers[0]
+        first = {"frames": markers.frame_count, "rate_hz": markers.rate_hz, "duration_s": markers.duration_s}
+    marker_names = [name for m in scene.markers for name in m.names]
     return {
         "format": scene.format,
         "unit": unit_name(scene.unit_m),
@@ -35,8 +42,8 @@ def describe(scene: Scene) -> dict[str, Any]:
         "frames": first["frames"],
         "rate_hz": first["rate_hz"],
         "duration_s": first["duration_s"],
-        "markers": None,
-        "marker_names": [],
+        "markers": len(marker_names) if scene.markers else None,
+        "marker_names": marker_names,
         "meshes": sum(len(c.parts) for c in scene.characters),
         "vertices": sum(c.vertex_count for c in scene.characters),
         "triangles": sum(c.triangle_count for c in scene.characters),
@@ -86,8 +93,45 @@ def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | Non
                 channels,
             )
         out.print(table)
+    _print_capture(out, scene)
     for note in scene.notes:
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
+
+
+def _print_capture(out: Any, scene: Scene) -> None:
+    """Markers, signals, plates and events: what a lab recorded."""
+    from rich.markup import escape
+
+    for markers in scene.markers:
+        missing = 1 - float(markers.visible.mean()) if markers.visible is not None and markers.visible.size else 0.0
+        last = markers.start_frame + markers.frame_count - 1
+        out.print(
+            f"  {escape(markers.name or 'markers')}: {file_word(len(markers.names), 'marker')}, "
+            f"{file_word(markers.frame_count, 'frame')} ({markers.start_frame} to {last}) at {markers.rate_hz:.6g} Hz, "
+            f"{markers.duration_s:.3f} s, {100 * missing:.1f}% missing"
+        )
+        out.print(f"    [dim]{escape(_names(markers.names))}[/dim]")
+    for signals in scene.signals:
+        units = "/".join(dict.fromkeys(filter(None, signals.units)))
+        kind = "analog channel" if signals.kind == "analog" else f"{signals.kind} signal"
+        out.print(
+            f"  {file_word(len(signals.names), kind)} at {signals.rate_hz:.6g} Hz{f' in {escape(units)}' if units else ''}"
+        )
+        out.print(f"    [dim]{escape(_names(signals.names))}[/dim]")
+    if scene.plates:
+        sizes: list[str] = []
+        for plate in scene.plates:
+            a, b, c = (tuple(map(float, plate.corners[i])) for i in range(3))
+            sizes.append(f"{math.dist(a, b):.2f} x {math.dist(b, c):.2f} m (type {plate.kind})")
+        out.print(f"  {file_word(len(scene.plates), 'force plate')}: {', '.join(sizes)}")
+    events = scene.extras.get("events", ())
+    if events:
+        out.print(f"  {file_word(len(events), 'event')}")
+
+
+def _names(names: tuple[str, ...], limit: int = 24) -> str:
+    shown = " · ".join(names[:limit])
+    return shown if len(names) <= limit else f"{shown} … +{len(names) - limit}"
 
 
 def _summary(character: Any) -> str:

@@ -34,10 +34,10 @@ from keypose.io.c3d_parameters import (
     strings,
 )
 from keypose.io.c3d_plates import plate_parameters, read_plates
+from keypose.io.marker_tables import MARKER_FORMATS
 from keypose.model import Markers, Scene, Signals
 
 _WORDS = {"m": "m", "dm": "dm", "cm": "cm", "mm": "mm", "inch": "in", "foot": "ft"}
-_MARKER_FORMATS = ("c3d", "trc", "csm")
 _MOST = 65535
 _MOST_NAMES = 255  # of one parameter: a dimension is one byte
 _BASE_GROUPS = ("POINT", "ANALOG", "FORCE_PLATFORM")
@@ -59,8 +59,9 @@ def write(
 ) -> tuple[str, ...]:
     """Write a scene's markers, signals, plates and events; returns notes of what the file does not hold.
 
-    Shapes and units: ``unit`` is "m", "dm", "cm", "mm", "inch" or "foot", ``up`` "X", "Y" or "Z". Without them a scene
-    from a marker file keeps its own; others are written in millimetres, Z up, as labs have it.
+    Shapes and units: ``unit`` is "m", "dm", "cm", "mm", "inch" or "foot", ``up`` "X", "Y" or "Z". Without them the
+    unit is that of the marker file it came from, else millimetres, and the axes are those of the C3D file it came from,
+    else Z is up, as labs have it.
 
     Raises:
         FormatError: where there is nothing that a C3D file could hold, or too much of it.
@@ -100,10 +101,10 @@ class _Plan:
         )
         for name in _BASE_GROUPS:
             self.parameters.setdefault(name, {})
-        is_marker_file = scene.format in _MARKER_FORMATS
+        is_marker_file = scene.format in MARKER_FORMATS
         self.unit_m = unit_in_metres(unit) if unit is not None else scene.unit_m if is_marker_file else 0.001
         self.unit_word = self.word_of_unit()
-        self.right_up, self.turn = self.axes(None if up is None else checked_up(up), is_marker_file)
+        self.right_up, self.turn = self.axes(None if up is None else checked_up(up))
         self.leave_out()
         self.sets = self.marker_sets()
         self.frames, self.rate_hz, self.first = self.time_line()
@@ -114,14 +115,14 @@ class _Plan:
             raise FormatError(f"a unit of {self.unit_m:g} m has no name in C3D; choose one of {', '.join(_WORDS)}")
         return _WORDS[name]
 
-    def axes(self, up: str | None, is_marker_file: bool) -> tuple[tuple[str, str], Turn]:
+    def axes(self, up: str | None) -> tuple[tuple[str, str], Turn]:
         chosen = None
         if self.kept is not None:
             chosen = screen(self.kept.groups, up)
             if up is None and (chosen is None or chosen[1][-1] != self.scene.up):  # it was read with the option up
                 chosen = screen(self.kept.groups, self.scene.up)
         if chosen is None:
-            letter = up or (self.scene.up if is_marker_file else "Z")
+            letter = up or (self.scene.up if self.scene.format == "c3d" else "Z")
             chosen = (right_of(letter), f"+{letter}")
         return chosen, screen_turn(*chosen)
 

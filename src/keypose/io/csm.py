@@ -266,8 +266,8 @@ def write(
 ) -> tuple[str, ...]:
     """Write the first markers of a scene; returns notes of what the file does not hold.
 
-    Shapes and units: ``unit`` is a name ("mm"), ``up`` "X", "Y" or "Z". Without them a scene from a marker file keeps its
-    own; others are written in millimetres, Z up. ``decimals`` is the number of digits after the point, by default
+    Shapes and units: ``unit`` is a name ("mm"), ``up`` "X", "Y" or "Z". Without them the unit is that of the
+    marker file it came from, else millimetres, and Z is up unless it came from a CSM file with other axes. ``decimals`` is the number of digits after the point, by default
     1e-8 m.
 
     Raises:
@@ -276,7 +276,7 @@ def write(
     if decimals is not None and not 0 <= decimals <= 12:
         raise ShapeError(f"decimals: expected 0 to 12, got {decimals}")
     notes: list[str] = []
-    out = to_write(scene, "CSM", unit, up, decimals, "Z", notes)
+    out = to_write(scene, "CSM", unit, up, decimals, notes)
     markers = out.markers
     if not markers.names:
         raise FormatError("there are no markers to write; CSM files hold nothing else")

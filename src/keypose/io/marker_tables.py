@@ -28,6 +28,7 @@ _NOTHING = re.compile(
 )
 _WORDS = re.compile(rb"[^\x00-\x20+\-.0-9eE]")
 _RESOLUTION_M = 1e-8
+_USUAL_UP = {"TRC": "Y", "CSM": "Z"}
 
 
 def unique_names(labels: Sequence[str], word: str, notes: list[str]) -> list[str]:
@@ -127,13 +128,23 @@ class Written:
     decimals: int
 
 
+def written_as(scene: Scene, kind: str, unit: str | float | None = None, up: str | None = None) -> tuple[float, str]:
+    """Metres per unit, and the up axis, in which `to_write` puts a scene into a file of a kind ("TRC", "CSM").
+
+    The unit stays that of any marker file, else millimetres; axes stay those of a file of the same kind, else the usual
+    ones, which readers expect where a file cannot say them.
+    """
+    own_unit = scene.unit_m if scene.format in MARKER_FORMATS else 0.001
+    own_up = scene.up if scene.format == kind.lower() else _USUAL_UP[kind]
+    return (own_unit if unit is None else unit_in_metres(unit)), (own_up if up is None else checked_up(up))
+
+
 def to_write(
     scene: Scene,
     kind: str,
     unit: str | float | None,
     up: str | None,
     decimals: int | None,
-    default_up: str,
     notes: list[str],
 ) -> Written:
     """What a text file of one set of markers holds of a scene; the rest is told.
@@ -156,12 +167,10 @@ def to_write(
         lost_words.append("camera masks")
     if lost_words:
         notes.append(f"{', '.join(lost_words)} are not in the file: {kind} holds positions")
-    own = scene.format in MARKER_FORMATS
-    unit_m = unit_in_metres(unit) if unit is not None else scene.unit_m if own else 0.001
+    unit_m, letter = written_as(scene, kind, unit, up)
     name = next((name for name, size in UNITS_M.items() if abs(size / unit_m - 1) < 1e-9 and name != "cmu"), None)
     if name is None:
         raise FormatError(f"a unit of {unit_m:g} m has no name in {kind}; choose one of m, cm, mm, inch, foot")
-    letter = checked_up(up) if up is not None else scene.up if own else default_up
     turn = screen_turn(right_of(letter), letter)
     positions = turn_out(np.asarray(markers.positions, np.float64), turn, unit_m)
     positions[~np.asarray(markers.visible)] = np.nan
