@@ -15,6 +15,7 @@ from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 
 BONE = 5  # ufbx's number for the attribute of a LimbNode
+STAGE = frozenset({3, 4, 13, 14})  # of lights, cameras and what switches between cameras
 NEUTRAL = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1], np.float64)  # translation, rotation as xyzw, scale
 
 
@@ -38,6 +39,12 @@ def build(record: Record, unit_m: float, notes: Notes) -> Hierarchy:
         bad = next((n for n, row in enumerate(rest) if not np.all(np.isfinite(row))), 0)
         raise FormatError("its transform holds numbers that are not finite", where=f"node '{_name(facts, bad)}'")
     order = _order(facts)
+    stage = _stage(facts, order)
+    if stage:
+        notes.add(
+            f"{len(stage)} nodes of cameras and lights were left out: {_shown([_name(facts, n) for n in sorted(stage)])}"
+        )
+    order = [n for n in order if n not in stage]
     carriers = {n for n in order if _is_carrier(record, facts, n, rest)}
     kept = [n for n in order if n not in carriers]
     joint_of_node = {node: joint for joint, node in enumerate(kept)}
@@ -111,6 +118,20 @@ def _order(facts: Sequence[Mapping[str, Any]]) -> list[int]:
         missing = next(n for n, item in enumerate(facts) if not item.get("root") and n not in set(order))
         raise FormatError("the node is its own ancestor", where=f"node '{_name(facts, missing)}'")
     return order
+
+
+def _stage(facts: Sequence[Mapping[str, Any]], order: Sequence[int]) -> frozenset[int]:
+    """Cameras and lights that stand for themselves, with the targets that they look at: no part of a character."""
+    tops = {n for n, item in enumerate(facts) if item.get("root")} | {-1}
+    parents = {int(facts[n]["parent"]) for n in order}
+    alone = [n for n in order if int(facts[n]["parent"]) in tops and n not in parents and int(facts[n]["mesh"]) < 0]
+    stage = {n for n in alone if int(facts[n]["kind"]) in STAGE}
+    targets = {f"{_name(facts, n)}.Target" for n in stage}
+    return frozenset(stage | {n for n in alone if _name(facts, n) in targets})
+
+
+def _shown(names: Sequence[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
 def _is_carrier(record: Record, facts: Sequence[Mapping[str, Any]], node: int, rest: Floats) -> bool:

@@ -24,8 +24,6 @@ from keypose.math import rigid
 from keypose.model import Character, Material, Mesh, Part, Scene
 
 _DROPPED = {
-    "cameras": "cameras were dropped; their nodes are kept",
-    "lights": "lights were dropped; their nodes are kept",
     "constraints": "constraints were dropped; what they do is only kept where it has keys",
     "line_curves": "line curves were dropped",
     "nurbs_curves": "NURBS curves were dropped",

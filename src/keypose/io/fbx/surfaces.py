@@ -21,6 +21,9 @@ from keypose.model import Mesh, Skin
 LINEAR, RIGID, DUAL_QUATERNION, BLENDED = range(4)
 DQ_ATTRIBUTE = "_DUAL_QUATERNION"
 _WEIGHT_TOLERANCE = 1e-4
+# Shares of the surface whose normals point inwards: above the one the normals are of another shape or order than the
+# faces (some exporters store those of a posed mesh), above the other the faces are turned.
+_CONTRADICTING, _TURNED = 0.06, 0.92
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,7 @@ class Surfaces:
         if item["subdivision"]:
             self._notes.add(f"{where}: it is shown as a subdivision surface; its cage was read")
         columns = self._columns(item, len(corners), where)
+        triangles = self._agreeing(positions, corners, triangles, columns, where)
         slots = array(item["face_materials"])
         slot_of = slots[face_of] if len(slots) == len(faces) else np.zeros(len(face_of), np.uint32)
         return [
@@ -95,6 +99,33 @@ class Surfaces:
                 found[:, 1] = 1 - found[:, 1]  # the origin is at the top here, at the bottom in FBX
             columns[name] = found
         return columns
+
+    def _agreeing(
+        self, positions: Floats, corners: Ints, triangles: Ints, columns: dict[str, NDArray[np.float32]], where: str
+    ) -> Ints:
+        """The triangles; normals that contradict them are replaced, and triangles that contradict all normals turned."""
+        normals = columns.get("normals")
+        if normals is None:
+            return triangles
+        a, b, c = (positions[corners[triangles[:, i]]] for i in range(3))
+        faces = np.cross(b - a, c - a)
+        against = np.sum(faces[:, None] * normals[triangles], axis=-1) < 0
+        share = float(against.mean(axis=1) @ (size := np.linalg.norm(faces, axis=1))) / max(float(size.sum()), 1e-300)
+        if share > _TURNED:
+            volume = float(np.sum((a - positions.mean(axis=0)) * faces))
+            what = "normals point inwards" if volume > 0 else "faces are inside out"
+            self._notes.add(f"{where}: its {what}; they were turned")
+            if volume <= 0:
+                return triangles[:, ::-1]
+            columns["normals"] = -normals
+            return triangles
+        if share > _CONTRADICTING:
+            self._notes.add(f"{where}: its normals contradict {share:.0%} of its faces; smooth ones were computed")
+            sums = np.zeros_like(positions)
+            for i in range(3):
+                np.add.at(sums, corners[triangles[:, i]], faces)
+            columns["normals"] = sums[corners].astype(np.float32)
+        return triangles
 
     def _surface(
         self,
