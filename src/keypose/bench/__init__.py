@@ -5,6 +5,7 @@ run("bvh")       reading and writing BVH files against pybvh and PyMotion
 run("fk")        forward kinematics of a clip against PyMotion
 run("runtime")   compiled clips: their size and error, the time to decode one pose, and crowds that play them; the same
                  rows as of "kernels" where it is the same work, here on compressed clips with scale
+run("io")        reading and writing capture files: C3D against ezc3d and c3d
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from keypose.errors import UnknownName
 
 __all__ = ["SUITES", "Result", "run"]
 
-SUITES = ("kernels", "bvh", "fk", "runtime")
+SUITES = ("kernels", "bvh", "fk", "runtime", "io")
 
 
 def run(name: str | None = None, json_path: str | Path | None = None, rounds: int = 15) -> list[Result]:
@@ -50,6 +51,11 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
         if name != "bvh":
             suite.begin("fk")
             peers.add_fk(suite)
+    if name in (None, "io"):
+        from keypose.bench import io
+
+        suite.begin("io")
+        io.add(suite)
     if name in (None, "kernels", "runtime"):
         from keypose.bench import limits
 
