@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,10 @@ def _is_fbx(head: bytes) -> bool:
     return head.startswith(b"Kaydara FBX Binary") or text.startswith((b"; FBX", b";FBX", b"FBXHeaderExtension"))
 
 
+def _is_collada(head: bytes) -> bool:
+    return re.search(rb"<(?:[A-Za-z_][\w.-]*:)?COLLADA[\s>]", head) is not None
+
+
 _formats: dict[str, Format] = {}
 
 
@@ -101,11 +106,14 @@ def register(entry: Format) -> None:
 
 register(Format("bvh", (".bvh",), _is_bvh, "keypose.io.bvh:read", "keypose.io.bvh:write"))
 register(
-    Format("gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf:read", "keypose.io.gltf:write"),
+    Format(
+        "gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf.vrm:read", "keypose.io.gltf.vrm:write"
+    ),
 )
 register(Format("fbx", (".fbx",), _is_fbx, "keypose.io.fbx:read", "keypose.io.fbx:write"))
 register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
+register(Format("collada", (".dae",), _is_collada, "keypose.io.collada:read", "keypose.io.collada:write"))
 register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
 register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
 register(Format("trc", (".trc",), _is_trc, "keypose.io.trc:read", "keypose.io.trc:write"))

@@ -30,8 +30,6 @@ def roles(root: Json, joint_of_node: Mapping[int, int], notes: Notes) -> dict[st
                 notes.add(f"{where}: the humanoid bone '{name}' appears more than once; the first was kept")
             else:
                 found[role] = joint
-        if "VRM" in root.object().get("extensions", {}):
-            notes.add("VRM 0 characters face -Z; keypose's face +Z")
     except FormatError as error:
         notes.add(f"the humanoid bones could not be read: {error}")
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,8 @@ from keypose.io.gltf.materials import Materials
 from keypose.io.gltf.surfaces import Surfaces, target_names
 from keypose.model import Character, Part, Scene
 
+Understand = Callable[[Scene, Json, Document, Hierarchy, Notes], Scene]
+
 
 def read(path: Path) -> Scene:
     """The default scene of a glTF file as one character, and its animations as clips.
@@ -31,6 +33,11 @@ def read(path: Path) -> Scene:
         FormatError: where the file is damaged or requires an extension that is not supported.
         MissingExtra: where it is compressed and the library for that is not installed.
     """
+    return read_with(path, None)
+
+
+def read_with(path: Path, understand: Understand | None) -> Scene:
+    """As `read`; ``understand`` completes the scene with what root extensions say."""
     notes = Notes()
     try:
         container = open_container(path, notes)
@@ -38,7 +45,7 @@ def read(path: Path) -> Scene:
         document = parse(root)
         arrays = Arrays(document, container, notes)
         materials = Materials(document, arrays, container, notes)
-        return _scene(path, root, document, arrays, materials, notes)
+        return _scene(path, root, document, arrays, materials, notes, understand)
     except FormatError as error:
         raise error.at(path) from None
     except RecursionError:
@@ -47,7 +54,15 @@ def read(path: Path) -> Scene:
         raise FormatError(str(error), path=path) from None
 
 
-def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials: Materials, notes: Notes) -> Scene:
+def _scene(
+    path: Path,
+    root: Json,
+    document: Document,
+    arrays: Arrays,
+    materials: Materials,
+    notes: Notes,
+    understand: Understand | None,
+) -> Scene:
     tree, scene_name = hierarchy.build(document, notes)
     surfaces = Surfaces(document, arrays, notes)
     animations = Animations(document, arrays, notes)
@@ -73,7 +88,10 @@ def _scene(path: Path, root: Json, document: Document, arrays: Arrays, materials
     else:
         notes.add("the file holds no nodes")
     scene = Scene(characters, tuple(clips), format="gltf", extras=_extras(document))
-    return replace(_restored(scene, document), notes=notes.texts())
+    scene = _restored(scene, document)
+    if understand is not None:
+        scene = understand(scene, root, document, tree, notes)
+    return replace(scene, notes=notes.texts())
 
 
 def _morph_instances(document: Document, tree: Hierarchy, notes: Notes) -> list[MorphInstance]:

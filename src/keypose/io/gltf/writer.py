@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from keypose.io.gltf.out_surfaces import SurfaceWriter, common_root_missing, gro
 from keypose.model import Character, Scene
 
 LARGEST_GLB = 2**32 - 1
+Extend = Callable[[dict[str, Any], Sequence[WrittenCharacter]], None]
 
 
 def write(scene: Scene, path: Path, *, embed: bool = False) -> tuple[str, ...]:
@@ -37,24 +38,38 @@ def write(scene: Scene, path: Path, *, embed: bool = False) -> tuple[str, ...]:
     Raises:
         FormatError: where the suffix is another one or the file cannot be written.
     """
-    notes = Notes()
     suffix = path.suffix.lower()
     if suffix not in (".glb", ".gltf"):
         raise FormatError(f"expected a name ending in .glb or .gltf, got '{path.suffix}'", path=path)
-    try:
-        document, data = _Writer(scene, notes).document()
-    except RecursionError:
-        raise FormatError("extras are nested too deeply", path=path) from None
+    notes = Notes()
+    document, data = _document(scene, path, notes, None)
     if suffix == ".glb":
-        if data:
-            document["buffers"] = [{"byteLength": len(data)}]
         _write_glb(path, document, data)
     else:
         _write_gltf(path, document, data, embed)
     return notes.texts()
 
 
-def _write_glb(path: Path, document: Mapping[str, Any], data: bytes) -> None:
+def write_binary(scene: Scene, path: Path, notes: Notes, extend: Extend) -> None:
+    """Write a binary file of any name whose JSON ``extend`` completes with root extensions."""
+    document, data = _document(scene, path, notes, extend)
+    _write_glb(path, document, data)
+
+
+def _document(scene: Scene, path: Path, notes: Notes, extend: Extend | None) -> tuple[dict[str, Any], bytes]:
+    try:
+        writer = _Writer(scene, notes)
+        document, data = writer.document()
+        if extend is not None:
+            extend(document, writer.written)
+    except RecursionError:
+        raise FormatError("extras are nested too deeply", path=path) from None
+    return document, data
+
+
+def _write_glb(path: Path, document: dict[str, Any], data: bytes) -> None:
+    if data:
+        document["buffers"] = [{"byteLength": len(data)}]
     text = _text(document).encode()
     text += b" " * (-len(text) % 4)
     chunks = [struct.pack("<II", len(text), JSON_CHUNK), text]
@@ -94,12 +109,13 @@ class _Writer:
         self._surfaces = SurfaceWriter(self._buffers, self._materials, notes)
         self._nodes: list[dict[str, Any]] = []
         self._roots: list[int] = []
+        self.written: list[WrittenCharacter] = []
 
     def document(self) -> tuple[dict[str, Any], bytes]:
         """The JSON and the binary data."""
         scene = self._scene
-        written = [self._character(character) for character in scene.characters]
-        animations = AnimationWriter(self._buffers, written, self._notes)
+        self.written = [self._character(character) for character in scene.characters]
+        animations = AnimationWriter(self._buffers, self.written, self._notes)
         for animation in scene.animations:
             animations.add(animation)
         kept = _mapping(scene.extras.get("gltf"))
