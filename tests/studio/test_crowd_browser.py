@@ -156,6 +156,22 @@ def test_pause_and_slow_motion(crowd: StudioPage) -> None:
     assert now(crowd)["time"] - at < 0.25 * (time.monotonic() - began) + 0.02
 
 
+def test_keys(crowd: StudioPage) -> None:
+    for key, held in (("l", "byLevel"), ("s", "shadows"), ("d", "grid")):
+        before = crowd.page.evaluate(f"keypose.crowd.look.{held}")
+        crowd.page.keyboard.press(key)
+        assert crowd.page.evaluate(f"keypose.crowd.look.{held}") is not before
+        crowd.page.keyboard.press(key)
+    crowd.page.keyboard.press("p")
+    assert now(crowd)["paused"]
+    crowd.page.keyboard.press("p")
+    crowd.page.keyboard.press("g")
+    assert now(crowd)["followed"] >= 0
+    crowd.page.keyboard.press("f")
+    assert now(crowd)["followed"] == -1
+    assert not crowd.page.evaluate("keypose.play.paused")  # the other tab's keys are not meant
+
+
 def test_the_camera_goes_along_with_who_is_clicked(crowd: StudioPage) -> None:
     crowd.ask("crowdLookFrom", [0, 20, 26], [0, 0.9, 0])
     crowd.page.wait_for_timeout(400)

@@ -283,6 +283,40 @@ def test_an_error_is_told() -> None:
     assert runner.join(5) and told == ["no such thing"]
 
 
+def test_pages_beyond_the_limit_are_told(start: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from websockets.sync.client import connect
+
+    from keypose.studio import crowd as module
+
+    monkeypatch.setattr(module, "MOST_CROWDS", 0)
+    server = start(graphs=[built_in("locomotion")])
+    url = f"ws://127.0.0.1:{server.port}/api/crowd?token={server.token}"
+    with connect(url) as socket:
+        socket.send('{"type":"crowd_open","graph":"sample:locomotion","count":5,"behaviour":"wander","seed":1}')
+        header, _ = unpack(socket.recv(20))
+        assert header["type"] == "crowd_failure" and "already" in header["message"]
+
+
+def test_a_crowd_over_a_real_socket(start: Any) -> None:
+    from websockets.sync.client import connect
+
+    server = start(graphs=[built_in("locomotion")])
+    url = f"ws://127.0.0.1:{server.port}/api/crowd?token={server.token}"
+    with connect(url, max_size=None) as socket:
+        socket.send('{"type":"crowd_open","graph":"nothing","count":5,"behaviour":"wander","seed":1}')
+        assert "nothing" in unpack(socket.recv(20))[0]["message"]
+        socket.send('{"type":"crowd_open","graph":"sample:locomotion","count":20,"behaviour":"wander","seed":1}')
+        assert unpack(socket.recv(60))[0]["count"] == 20
+        for number in range(1, 6):
+            header, _ = unpack(socket.recv(30))
+            assert header["number"] == number
+            socket.send(f'{{"type":"crowd_acknowledge","number":{number}}}')
+        socket.send("nonsense")
+        with pytest.raises(Exception, match=r"1003|unknown"):
+            for _ in range(20):
+                socket.recv(10)
+
+
 def test_requests_are_checked() -> None:
     text = '{"type":"crowd_open","graph":"g","count":5,"behaviour":"wander","seed":1}'
     assert parse_crowd_request(text) == CrowdOpen("crowd_open", "g", 5, "wander", 1)

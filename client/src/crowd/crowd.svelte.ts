@@ -20,6 +20,7 @@ export class Crowd {
   rate = $state(30);
   look = $state<CrowdLook>({ byLevel: false, shadows: true, grid: true, orbit: true });
   followed = $state(-1);
+  panel = $state(innerWidth > 900);
 
   ready = $state.raw<CrowdReady | null>(null);
   refused = $state("");
@@ -34,6 +35,8 @@ export class Crowd {
   bytesPerSecond = 0;
   stepsPerSecond = 0;
   onShow: (container: Container<CrowdReady> | null, population: Population | null) => void = () => {};
+  /** Go along with somebody, or with nobody (-1). */
+  onFollow: (character: number) => void = () => {};
   private connection: CrowdConnection | null = null;
   private view: { eye: number[]; fov: number } | null = null;
   private acknowledged = 0;

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from keypose.studio.session import Session
 
 MOST_CHARACTERS = 4000
+MOST_CROWDS = 6
+"""Pages that show a crowd at the same time."""
+
 WINDOW = 2
 """Frames that may be on their way or waiting to be drawn."""
 
@@ -44,6 +47,7 @@ _SEEN = 0.02  # a morph weight that is never larger is left out
 _EXAMPLES = 12  # poses of each clip
 _ROOM_M2 = 7.5  # of ground for each character
 _NUMBERS = itertools.count(1)
+_sockets: set[int] = set()  # of pages that show a crowd
 _levels: dict[int, tuple[Character, tuple[Level, ...]]] = {}
 _levels_lock = threading.Lock()
 
@@ -481,7 +485,10 @@ async def crowd_events(session: Session, socket: WebSocket) -> None:
     try:
         async for text in socket.iter_text():
             request = parse_crowd_request(text)
-            if isinstance(request, messages.CrowdOpen):
+            if isinstance(request, messages.CrowdOpen) and len(_sockets - {id(socket)}) >= MOST_CROWDS:
+                failed(f"{MOST_CROWDS} pages show a crowd already; close one of them")
+            elif isinstance(request, messages.CrowdOpen):
+                _sockets.add(id(socket))
                 # What is shown goes on until the new crowd is there.
                 runner = _opened(session, request, later, failed, runner)
             elif request is None or (isinstance(request, messages.CrowdView) and len(request.eye) != 3):
@@ -490,6 +497,7 @@ async def crowd_events(session: Session, socket: WebSocket) -> None:
             elif runner is not None:
                 _tell(runner, request)
     finally:
+        _sockets.discard(id(socket))
         if runner is not None:
             runner.close()
         sender.cancel()
