@@ -112,6 +112,14 @@ def bones_figure(skeleton: Skeleton, theme: Theme) -> Figure | None:
     )
 
 
+def dots(radius: float, colors: Floats) -> Character:
+    """A sphere for each of the colours (P, 3), bound to a joint of its own; metres."""
+    builder = _Builder()
+    for color in colors:
+        builder.add(*_sphere(radius, 2), color)
+    return builder.character("dots", Material("dots", (1, 1, 1, 1), roughness=0.45))
+
+
 def axes_figure(skeleton: Skeleton) -> Figure | None:
     """Three small arrows at every joint: X red, Y green, Z blue."""
     count = skeleton.joint_count

@@ -13,6 +13,7 @@ from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.model import Character, Clip, Motion, Pose, Scene
 from keypose.render.bones import Figure, axes_figure, bones_figure
+from keypose.render.dots import marker_scene
 from keypose.render.settings import RenderSettings
 
 Animation: TypeAlias = Clip | Motion
@@ -86,8 +87,10 @@ class Stage:
         animation: str | Animation | Sequence[Animation | None] | None,
         settings: RenderSettings,
     ) -> None:
+        if not scene.characters and scene.markers:
+            scene = marker_scene(scene.markers[0], settings.colors)
         if not scene.characters:
-            raise ShapeError("render: the scene holds no character to draw")
+            raise ShapeError("render: the scene holds no character to draw, and no markers")
         self.settings = settings
         self.actors = _cast(scene, animation)
         self.start_s, self.end_s = _span(self.actors, settings)
