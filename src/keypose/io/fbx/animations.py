@@ -11,7 +11,7 @@ from keypose.arrays import Array, Floats
 from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, wxyz
 from keypose.io.fbx.morphs import Morphs
-from keypose.io.fbx.process import Record
+from keypose.io.fbx.process import Record, sane
 from keypose.io.gltf.checking import Notes
 from keypose.math import quat
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
@@ -59,7 +59,7 @@ class _Clip:
     def __init__(self, record: Record, stack: Mapping[str, Any], tree: Hierarchy, unit_m: float, where: str) -> None:
         self._record, self._tree, self._unit_m, self._where = record, tree, unit_m, where
         self.times: Floats = record.array(stack["times"]).copy()
-        if not len(self.times) or not np.all(np.isfinite(self.times)) or np.any(np.diff(self.times) <= 0):
+        if not len(self.times) or not sane(self.times) or np.any(np.diff(self.times) <= 0):
             raise FormatError("its times do not rise", where=where)
         self.times.setflags(write=False)
         self.curves: dict[Channel, Curve] = {}
@@ -72,7 +72,10 @@ class _Clip:
             return
         name, rest = self._tree.skeleton.names[joint], self._tree.skeleton.rest
         array = self._record.array
-        translations = array(track["translation"], 3) * self._unit_m
+        translations = array(track["translation"], 3)
+        if not (sane(translations) and sane(array(track["scale"], 3))):
+            raise FormatError(f"the transform of '{name}' holds impossible numbers", where=self._where)
+        translations = translations * self._unit_m
         rotations = wxyz(array(track["rotation"], 4))
         self.add(name, Property.TRANSLATION, CurveKind.VECTOR, translations, rest.translations[joint])
         self.add(name, Property.ROTATION, CurveKind.ROTATION, rotations, rest.rotations[joint])
@@ -80,8 +83,8 @@ class _Clip:
 
     def add(self, target: str, property: Property, kind: CurveKind, values: Array, rest: Array) -> None:
         """One curve, with a key at every frame if it moves."""
-        if not np.all(np.isfinite(values)):
-            raise FormatError(f"the {property.value} of '{target}' is not finite", where=self._where)
+        if not sane(values):
+            raise FormatError(f"the {property.value} of '{target}' is impossible", where=self._where)
         if len(values) not in (1, len(self.times)):
             raise FormatError(f"'{target}' has {len(values)} of {len(self.times)} frames", where=self._where)
         if kind is CurveKind.ROTATION:

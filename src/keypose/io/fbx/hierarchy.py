@@ -10,7 +10,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.errors import FormatError
-from keypose.io.fbx.process import Record
+from keypose.io.fbx.process import Record, sane
 from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 
@@ -35,9 +35,9 @@ def build(record: Record, unit_m: float, notes: Notes) -> Hierarchy:
     """All nodes of the file, parents before their children, in the order of a walk down every branch."""
     facts: Sequence[Mapping[str, Any]] = record.facts["nodes"]
     rest = record.array(record.facts["rest"], 10)
-    if len(rest) != len(facts) or not np.all(np.isfinite(rest)):
-        bad = next((n for n, row in enumerate(rest) if not np.all(np.isfinite(row))), 0)
-        raise FormatError("its transform holds numbers that are not finite", where=f"node '{_name(facts, bad)}'")
+    if len(rest) != len(facts) or not sane(rest):
+        bad = next((n for n, row in enumerate(rest) if not sane(row)), 0)
+        raise FormatError("its transform holds impossible numbers", where=f"node '{_name(facts, bad)}'")
     order = _order(facts)
     stage = _stage(facts, order)
     if stage:
@@ -63,7 +63,7 @@ def build(record: Record, unit_m: float, notes: Notes) -> Hierarchy:
         role, end = facts[node]["role"], facts[node]["end_site"]
         if isinstance(role, str) and role:
             roles.setdefault(role, joint)
-        if end is not None and np.all(np.isfinite(end)):
+        if end is not None and sane(end):
             x, y, z = (float(v) * unit_m for v in end)
             ends.append((joint, (x, y, z)))
     bones = tuple(names[joint] for joint, node in enumerate(kept) if facts[node]["kind"] == BONE)
@@ -79,8 +79,10 @@ def wxyz(xyzw: Floats) -> Floats:
     return np.where(length > 0, turned / np.where(length > 0, length, 1.0), [1.0, 0.0, 0.0, 0.0])
 
 
-def affine(columns: Sequence[float], unit_m: float) -> Floats:
+def affine(columns: Sequence[float], unit_m: float, where: str) -> Floats:
     """A matrix (4, 4) from four columns of three, its translation in metres."""
+    if not sane(columns):
+        raise FormatError("a matrix holds impossible numbers", where=where)
     matrix = np.eye(4)
     matrix[:3] = np.asarray(columns, np.float64).reshape(4, 3).T
     matrix[:3, 3] *= unit_m

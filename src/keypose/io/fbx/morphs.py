@@ -10,7 +10,7 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
-from keypose.io.fbx.process import Record
+from keypose.io.fbx.process import Record, sane
 from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.model import MorphSet
 
@@ -52,8 +52,8 @@ def build(record: Record, notes: Notes) -> Morphs:
             for place, key_name in enumerate(_key_names(name, keys, notes)):
                 values = [effective_weights(keys, np.array([float(item["weight"])]))[place]]
                 values += [effective_weights(keys, stack[number])[place] if stack else np.zeros(0) for stack in weights]
-                if not all(np.all(np.isfinite(v)) for v in values):
-                    raise FormatError("a weight is not finite", where=f"blend channel '{item['name']}'")
+                if not all(sane(v) for v in values):
+                    raise FormatError("a weight is impossible", where=f"blend channel '{item['name']}'")
                 identity = (key_name, *(v.tobytes() for v in values))
                 taken = {t.channel for t in mine}
                 if identity not in known or known[identity] in taken:
@@ -137,7 +137,7 @@ def morph_set(
         rows = record.array(shape["vertices"]).astype(np.int64)
         offsets, turned = record.array(shape["positions"], 3), record.array(shape["normals"], 3)
         turned = turned if len(turned) == len(rows) else np.zeros((len(rows), 3))
-        if len(rows) != len(offsets) or not (np.all(np.isfinite(offsets)) and np.all(np.isfinite(turned))):
+        if len(rows) != len(offsets) or not (sane(offsets) and sane(turned)):
             raise FormatError("its numbers do not fit together", where=f"{where}: shape '{shape['name']}'")
         fits = rows < count
         both = np.zeros((count, 6))

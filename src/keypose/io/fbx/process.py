@@ -50,6 +50,11 @@ class Record:
         return values.reshape(-1, width) if width else values
 
 
+def sane(values: Any) -> bool:
+    """Whether all numbers are finite and of a size that can be reckoned with."""
+    return bool(np.all(np.abs(values) < 1e15))  # a number that is none compares as False
+
+
 def records(paths: Sequence[Path]) -> Iterator[Record | FormatError]:
     """What each file holds, or why it cannot be read, in the order of ``paths``.
 

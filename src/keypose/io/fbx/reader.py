@@ -75,7 +75,7 @@ def _scene(path: Path, record: Record) -> Scene:
         if "UTF-8" not in text:  # names of the author's machine in another encoding, of no concern
             notes.add(f"repaired: {text}" + (f" ({count} times)" if count > 1 else ""))
     unit_m = float(facts["unit_m"])
-    if not (np.isfinite(unit_m) and 1e-9 < unit_m < 1e9):
+    if not (np.isfinite(unit_m) and 1e-6 < unit_m < 1e6):
         notes.add(f"its unit of {unit_m:g} m is impossible; taken as cm")
         unit_m = 0.01
     tree = hierarchy.build(record, unit_m, notes)
@@ -156,7 +156,7 @@ class _Parts:
             raise FormatError("the mesh follows a node that is no joint", where=where)
         geometry = np.eye(4)
         if binding is None and item["geometry"] is not None:
-            geometry = affine(item["geometry"], self._unit_m)
+            geometry = affine(item["geometry"], self._unit_m, where)
         place: dict[str, Any] = {} if joint is None else {"node": self._tree.skeleton.names[joint]}
         if len(mesh["morphs"]) > 1:
             self._notes.add(f"{where}: it has {len(mesh['morphs'])} blend deformers; their targets were joined")

@@ -13,7 +13,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, affine
 from keypose.io.fbx.polygons import triangulate
-from keypose.io.fbx.process import Record
+from keypose.io.fbx.process import Record, sane
 from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.surfaces import smooth_normals
 from keypose.model import Mesh, Skin
@@ -51,10 +51,11 @@ class Surfaces:
 
     def _build(self, item: Mapping[str, Any], where: str) -> list[Surface]:
         array = self._record.array
-        positions = array(item["positions"], 3) * self._unit_m
+        positions = array(item["positions"], 3)
         corners, faces = array(item["corners"]), array(item["faces"], 2)
-        if not np.all(np.isfinite(positions)):
-            raise FormatError("a vertex position is not finite", where=where)
+        if not sane(positions):
+            raise FormatError("a vertex position is impossible", where=where)
+        positions = positions * self._unit_m
         if len(corners) and int(corners.max()) >= len(positions):
             raise FormatError(f"vertex {int(corners.max())} does not exist; there are {len(positions)}", where=where)
         if len(faces) and int(faces.astype(np.int64).sum(axis=1).max()) > len(corners):
@@ -230,15 +231,15 @@ def bind(
         if joint is None:
             notes.add(f"{where}: a cluster has no bone and was dropped")
             continue
-        matrix = affine(cluster["matrix"], unit_m)
+        matrix = affine(cluster["matrix"], unit_m, where)
         vertices, weights = record.array(cluster["vertices"]), record.array(cluster["weights"])
         fits = vertices < count
-        good = np.isfinite(weights) & (weights > 0)
-        if len(vertices) != len(weights) or not np.all(np.isfinite(matrix)):
+        possible = (weights >= 0) & (weights < 1e15)
+        if len(vertices) != len(weights):
             raise FormatError("its numbers do not fit together", where=f"{where}: cluster {len(palette)}")
-        if not (np.all(fits) and np.all(np.isfinite(weights) & (weights >= 0))):
+        if not (np.all(fits) and np.all(possible)):
             notes.add(f"{where}: impossible weights or vertices of a cluster were dropped")
-        keep = fits & good
+        keep = fits & possible & (weights > 0)
         rows.append(vertices[keep].astype(np.int64))
         columns.append(np.full(int(keep.sum()), len(palette)))
         values.append(weights[keep])
@@ -253,7 +254,7 @@ def bind(
         notes.add(f"{where}: {len(free)} vertices have no weight; they follow the node")
         palette.append(tree.joint_of_node[node])
         geometry = record.facts["nodes"][node]["geometry"]
-        matrices.append(np.eye(4) if geometry is None else affine(geometry, unit_m))
+        matrices.append(np.eye(4) if geometry is None else affine(geometry, unit_m, where))
     off = np.abs(sums[sums > 0] - 1)
     if len(off) and off.max() > _WEIGHT_TOLERANCE:
         notes.add(
