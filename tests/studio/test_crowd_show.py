@@ -13,7 +13,8 @@ from play_graphs import opened_arm
 
 from keypose.errors import KeyposeError, ShapeError, UnknownName
 from keypose.studio.container import unpack
-from keypose.studio.crowd import CrowdRunner, CrowdShow, View, varied
+from keypose.studio.crowd import CrowdRunner
+from keypose.studio.crowd_show import CrowdShow, View, varied
 from keypose.studio.graphs import Stage, built_in
 from keypose.studio.messages import CrowdOpen, CrowdView
 from keypose.studio.requests import parse_crowd_request, parse_request
