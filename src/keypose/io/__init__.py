@@ -24,11 +24,11 @@ from keypose.io.registry import (
     register,
     unknown_format,
 )
-from keypose.model import Character, Clip, Motion, Scene, Skeleton
+from keypose.model import Character, Clip, ForcePlate, Markers, Motion, Scene, Signals, Skeleton
 
 __all__ = ["Format", "formats", "load", "register", "save"]
 
-_Storable = Scene | Character | Skeleton | Motion | Clip
+_Storable = Scene | Character | Skeleton | Motion | Clip | Markers | Signals | ForcePlate
 
 
 def load(path: str | PathLike[str], **options: Any) -> Scene:
@@ -61,8 +61,8 @@ def load(path: str | PathLike[str], **options: Any) -> Scene:
 def save(scene: _Storable | Iterable[_Storable], path: str | PathLike[str], **options: Any) -> tuple[str, ...]:
     """Write a scene to a file of the format that the suffix names; returns notes of what the format could not hold.
 
-    A character, a skeleton, a motion or clip, or several of these (``save([character, motion], path)``) are put into
-    a scene first. The file appears whole or not at all. ``options`` are those of the format's writer.
+    A character, a skeleton, a motion or clip, markers, signals, force plates, or several of these
+    (``save([character, motion], path)``) are put into a scene first. The file appears whole or not at all. ``options`` are those of the format's writer.
 
     Raises:
         FormatError: where the suffix is unknown, or the place or the content cannot be written.
@@ -100,9 +100,13 @@ def _head(path: Path) -> bytes:
 def _as_scene(content: _Storable | Iterable[_Storable]) -> Scene:
     if isinstance(content, Scene):
         return content
-    items = [content] if isinstance(content, (Character, Skeleton, Motion, Clip)) else list(content)
+    single = (Character, Skeleton, Motion, Clip, Markers, Signals, ForcePlate)
+    items = [content] if isinstance(content, single) else list(content)
     characters: list[Character] = []
     animations: list[Motion | Clip] = []
+    markers: list[Markers] = []
+    signals: list[Signals] = []
+    plates: list[ForcePlate] = []
     for item in items:
         if isinstance(item, Skeleton):
             characters.append(Character(item))
@@ -110,8 +114,17 @@ def _as_scene(content: _Storable | Iterable[_Storable]) -> Scene:
             characters.append(item)
         elif isinstance(item, (Motion, Clip)):
             animations.append(item)
+        elif isinstance(item, Markers):
+            markers.append(item)
+        elif isinstance(item, Signals):
+            signals.append(item)
+        elif isinstance(item, ForcePlate):
+            plates.append(item)
         else:
             raise ShapeError(
-                f"expected a Scene, Character, Skeleton, Motion or Clip to save, got {type(item).__name__}"
+                "expected a Scene, Character, Skeleton, Motion, Clip, Markers, Signals or ForcePlate to save, "
+                f"got {type(item).__name__}"
             )
-    return Scene(tuple(characters), tuple(animations))
+    return Scene(
+        tuple(characters), tuple(animations), markers=tuple(markers), signals=tuple(signals), plates=tuple(plates)
+    )

@@ -278,11 +278,11 @@ def write(
     notes: list[str] = []
     out = to_write(scene, "CSM", unit, up, decimals, notes)
     markers = out.markers
-    if not markers.names:
+    if not out.names:
         raise FormatError("there are no markers to write; CSM files hold nothing else")
     kept: Any = markers.extras.get("csm", {})
-    names = [re.sub(r"[\s$\x00]+", "_", name) for name in markers.names]
-    if names != list(markers.names):
+    names = [re.sub(r"[\s$\x00]+", "_", name) for name in out.names]
+    if names != list(out.names):
         notes.append("blanks in names became '_': CSM separates names by blanks")
     last = markers.start_frame + markers.frame_count - 1
     lines = [f"${keyword} {kept[keyword]}" for keyword in ("Filename", "Date", "Time", "Actor") if keyword in kept]

@@ -118,9 +118,10 @@ def decoded(raw: bytes) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """One set of markers in a file's units and axes: ``positions`` (T, N, 3), NaN where not seen."""
+    """Markers in a file's units and axes: ``positions`` (T, N, 3), NaN where not seen, of all sets beside the first."""
 
     markers: Markers
+    names: tuple[str, ...]
     positions: Array
     unit: str
     up: str
@@ -155,7 +156,9 @@ def to_write(
     if not scene.markers:
         raise FormatError(f"there are no markers to write; {kind} files hold nothing else")
     markers = scene.markers[0]
-    notes += [f"markers '{other.name}' are not in the file: {kind} holds one set" for other in scene.markers[1:]]
+    sets = [m for m in scene.markers if (m.frame_count, m.rate_hz) == (markers.frame_count, markers.rate_hz)]
+    others = [m for m in scene.markers if m not in sets]
+    notes += [f"markers '{m.name}' are not in the file: another length or rate than the first" for m in others]
     lost = [
         (len(scene.characters), "characters"), (len(scene.animations), "animations"), (len(scene.signals), "sets of signals"),
         (len(scene.plates), "force plates"), (len(scene.extras.get("events", ())), "events"),
@@ -172,8 +175,10 @@ def to_write(
     if name is None:
         raise FormatError(f"a unit of {unit_m:g} m has no name in {kind}; choose one of m, cm, mm, inch, foot")
     turn = screen_turn(right_of(letter), letter)
-    positions = turn_out(np.asarray(markers.positions, np.float64), turn, unit_m)
-    positions[~np.asarray(markers.visible)] = np.nan
+    positions = np.concatenate([np.asarray(m.positions, np.float64) for m in sets], axis=1)
+    positions = turn_out(positions, turn, unit_m)
+    positions[~np.concatenate([np.asarray(m.visible) for m in sets], axis=1)] = np.nan
+    names = tuple(unique_names([name for m in sets for name in m.names], "marker", notes))
     if decimals is None:
         decimals = max(0, math.ceil(-math.log10(_RESOLUTION_M / unit_m) - 1e-9))
-    return Written(markers, positions, name, letter, turn, decimals)
+    return Written(markers, names, positions, name, letter, turn, decimals)

@@ -63,6 +63,7 @@ class _Reader:
     def __init__(self, data: bytes, name: str) -> None:
         self.size, self.name = len(data), name
         self.notes: list[str] = []
+        self.labels_found: list[str] = []
         lines = numbered_lines(data)
         self.header_lines = lines[:4]
         self.delimiter = self.find_delimiter()
@@ -165,11 +166,12 @@ class _Reader:
     def scene(self, unit_m: float | None, up: str | None) -> Scene:
         numbers, rows = self.rows
         width = max((row.count(b"\t") + 1 for row in rows), default=2)
-        labels = self.labels()
+        labels = self.labels_found = self.labels()
         count = max(-(-(width - 2) // 3), len(labels), 0)
         table = parse_table(rows, numbers, 2 + 3 * count, self.size)
         labels = self.checked_labels(labels, count, max(width, 2))
         names = unique_names(labels, "marker", self.notes)
+        counted = self.counted(count)
         if unit_m is None:
             unit_m = self.unit()
         raw = table[:, 2:].reshape(len(rows), count, 3)
@@ -181,12 +183,38 @@ class _Reader:
         positions[~np.isfinite(positions).all(axis=-1)] = np.nan  # a marker with one coordinate only was not seen
         rate = self.rate(table[:, 1])
         first = self.frame_numbers(table[:, 0])
-        positions.setflags(write=False)
-        extras: dict[str, Any] = {"header": dict(self.header), "labels": tuple(labels)}
+        extras: dict[str, Any] = {"header": dict(self.header), "labels": tuple(labels[:counted])}
         if len(table) and np.isfinite(table[0, 1]):
             extras["start_s"] = float(table[0, 1])
-        markers = Markers(tuple(names), positions, rate, start_frame=first, name=self.name, extras={"trc": extras})
-        return Scene(format="trc", unit_m=unit_m, up=up, notes=tuple(self.notes), markers=(markers,))
+        sets = [
+            Markers(
+                tuple(names[:counted]),
+                positions[:, :counted],
+                rate,
+                None,
+                None,
+                None,
+                first,
+                self.name,
+                {"trc": extras},
+            )
+        ]
+        if counted < count:
+            sets.append(
+                Markers(tuple(names[counted:]), positions[:, counted:], rate, start_frame=first, name="unlabelled")
+            )
+        return Scene(format="trc", unit_m=unit_m, up=up, notes=tuple(self.notes), markers=tuple(sets))
+
+    def counted(self, count: int) -> int:
+        """How many of the columns are markers that the header knows; what lies behind are trajectories nobody labelled."""
+        said = self.number("NumMarkers")
+        known = max(len(self.labels_found), int(said) if said is not None else 0)
+        if not 0 < known < count:
+            return count
+        self.notes.append(
+            f"the {count - known} trajectories behind the {known} markers of the header are a set of their own"
+        )
+        return known
 
     def checked_labels(self, labels: list[str], count: int, width: int) -> list[str]:
         said = self.number("NumMarkers")
@@ -258,7 +286,7 @@ def write(
     out = to_write(scene, "TRC", unit, up, decimals, notes)
     markers = out.markers
     kept: Any = markers.extras.get("trc", {})
-    names = _file_names(markers.names, notes)
+    names = _file_names(out.names, notes)
     header: dict[str, str] = {
         "DataRate": f"{markers.rate_hz:.12g}", "CameraRate": f"{markers.rate_hz:.12g}",
         "NumFrames": str(markers.frame_count), "NumMarkers": str(len(names)), "Units": _WORDS[out.unit],
