@@ -205,7 +205,8 @@ def test_nexus_csv(data_dir: Path) -> None:
     assert np.abs(mine - values[inside])[both].max() < 1e-2
 
 
-def test_cmu_markers_around_the_skeleton(data_dir: Path, scenes: dict[str, Scene]) -> None:
+@pytest.mark.parametrize("name", ["01_01.bvh", "01_01.amc"])  # the first frame of the BVH is a T pose
+def test_cmu_markers_around_the_skeleton(name: str, data_dir: Path, scenes: dict[str, Scene]) -> None:
     """The README: from the root to the mean of four waist markers it is 0.2 to 45 mm, in the middle 24 mm."""
     from keypose.evaluate import world
 
@@ -213,8 +214,9 @@ def test_cmu_markers_around_the_skeleton(data_dir: Path, scenes: dict[str, Scene
     waist = markers.positions[:, [markers.index(n) for n in ("LBWT", "RBWT", "LFWT", "RFWT")]].mean(axis=1)
     # the lab's X is to the right in the C3D file, the skeleton's Z: a quarter turn about the vertical
     quarter = np.array((np.sqrt(0.5), 0, -np.sqrt(0.5), 0))
-    bvh = keypose.io.load(data_dir / "cmu_01_01/01_01.bvh", unit="cmu", up="Y")
-    root = np.asarray(world(bvh.character.skeleton, bvh.animation().pose))[1:, 0, :3, 3]  # its first frame is a T pose
+    options = {"unit": "cmu", "up": "Y"} if name.endswith("bvh") else {}
+    take = keypose.io.load(data_dir / "cmu_01_01" / name, **options)
+    root = np.asarray(world(take.character.skeleton, take.animation().pose))[-2751:, 0, :3, 3]
     apart = np.linalg.norm(quat.rotate(quarter, waist) - root, axis=-1)
     apart = apart[np.isfinite(apart)]
     assert len(apart) > 2600

@@ -279,3 +279,16 @@ def test_parameter_sections_of_any_size() -> None:
                 parameter.kind, parameter.dims, parameter.description, parameter.locked,
             )  # fmt: skip
             assert np.array_equal(np.asarray(other.values), np.asarray(parameter.values))
+
+
+def test_strings_of_no_length_cost_no_memory(tmp_path: Path) -> None:
+    """Each of these parameters claims 65,025 empty strings in a dozen bytes."""
+    import tracemalloc
+
+    claims = {f"P{i:05d}": (_TEXT, (0, 255, 255), b"") for i in range(5000)}
+    path = tmp_path / "claims.c3d"
+    path.write_bytes(c3d_bytes({"POINT": claims}, points=1, frames=(1, 1), data=_points(np.ones((1, 1, 3)))))
+    tracemalloc.start()
+    keypose.io.load(path)
+    assert tracemalloc.get_traced_memory()[1] < 64e6
+    tracemalloc.stop()

@@ -23,7 +23,7 @@ PROCESSORS = {INTEL: "Intel", DEC: "DEC", MIPS: "MIPS"}
 
 _KINDS: dict[int, Kind] = {-1: "char", 1: "byte", 2: "int", 4: "float"}
 _TYPES: dict[str, int] = {kind: code for code, kind in _KINDS.items()}
-_MOST_STRINGS = 65535
+_MOST_STRINGS = 200_000
 _MOST_RECORDS = 20_000
 _MOST_NOTES = 8
 
@@ -111,6 +111,7 @@ class _Reader:
         self.order = ">" if processor == MIPS else "<"
         self.drafts: dict[int, _Draft] = {}
         self.faults = 0
+        self.empty_strings = _MOST_STRINGS  # they cost no bytes in the file
 
     def groups(self, at: int) -> Groups:
         for _ in range(_MOST_RECORDS):
@@ -210,7 +211,8 @@ class _Reader:
             if length == 0:
                 count = 1
                 for n in dims[1:]:
-                    count = min(count * n, _MOST_STRINGS)
+                    count = min(count * n, self.empty_strings)
+                self.empty_strings -= count
                 return ("",) * count
             return tuple(text(raw[i : i + length]) for i in range(0, len(raw), length))
         found.setflags(write=False)

@@ -33,7 +33,8 @@ class Markers:
     Shapes and units:
         positions: (T, N, 3) metres, NaN where a marker was not seen.
         visible: (T, N), found from the positions if not given.
-        residuals: (T, N) metres, how far the cameras' rays miss each other, or none; NaN where it is not known (an invented point).
+        residuals: (T, N) metres, how far the cameras' rays miss each other, or none; NaN where not seen, 0 for a point that
+            was filled or smoothed.
         cameras: (T, N) bit mask of the cameras that saw a marker, or none.
         start_frame: the number of the first frame in the file.
     """
