@@ -184,6 +184,19 @@ def test_a_level_of_detail_leaves_joints_out_and_changes_no_other(human: g.Progr
         g.animate_crowd(crowd, 1 / 60)
 
 
+def test_a_crowd_may_take_over_the_compiled_clips_of_another(human: g.Program) -> None:
+    first = g.prepare_crowd(human, 20, parameters={"speed": 1.5})
+    second = g.prepare_crowd(human, 20, parameters={"speed": 1.5}, like=first)
+    assert second.clips is first.clips
+    for crowd in (first, second):
+        for _ in range(3):
+            g.animate_crowd(crowd, 1 / 60)
+    np.testing.assert_array_equal(second.models, first.models)
+    for wrong in (build(single(g.ClipNode("a"))), human):
+        with pytest.raises(ShapeError, match="same program and levels"):
+            g.prepare_crowd(wrong, 1, like=first, levels=[["LeftEye"]] if wrong is human else ())
+
+
 def test_more_events_than_there_is_room_for_are_all_kept() -> None:
     program = build(single(g.ClipNode("a", speed=5.0)))
     reference = Reference(g.prepare_crowd(program, 60))

@@ -6,6 +6,7 @@ import itertools
 import threading
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,12 @@ class View:
     fov_deg: float = 35.0
 
 
+@lru_cache(maxsize=_KEPT)
+def _first(program: g.Program, dropped: tuple[tuple[str, ...], ...]) -> g.GraphCrowd:
+    """A crowd of one, whose compiled clips all others take over."""
+    return g.prepare_crowd(program, 1, levels=dropped)
+
+
 class CrowdShow:
     """A crowd and its steps as messages. It knows no clock and no socket."""
 
@@ -91,8 +98,9 @@ class CrowdShow:
         self.unit_m = 2.0 * max(self.height_m, 1e-3) / 32767
         self.steering = steering.init(count, self.radius_m, behaviour, seed)
         joints = character.skeleton.names
-        dropped = [_dropped(joints, level, character.skeleton.parents) for level in self.levels[1:]]
-        self.crowd = g.prepare_crowd(program, count, roots=steering.place(count, self.radius_m, seed), levels=dropped)
+        dropped = tuple(_dropped(joints, level, character.skeleton.parents) for level in self.levels[1:])
+        roots = steering.place(count, self.radius_m, seed)
+        self.crowd = g.prepare_crowd(program, count, roots=roots, levels=dropped, like=_first(program, dropped))
         self.detail = lod.prepare(self.levels, count)
         self.seed = seed
         self._morphs = _used_morphs(program, character)
@@ -287,7 +295,7 @@ def _used_morphs(program: g.Program, character: Character) -> dict[str, int]:
     }
 
 
-def _dropped(names: tuple[str, ...], level: Level, parents: Array) -> list[str]:
+def _dropped(names: tuple[str, ...], level: Level, parents: Array) -> tuple[str, ...]:
     """Joints that no vertex of the level needs, neither itself nor for a joint below."""
     needed = np.zeros(len(names), bool)
     needed[level.skin.palette] = True
@@ -295,7 +303,7 @@ def _dropped(names: tuple[str, ...], level: Level, parents: Array) -> list[str]:
     for joint in range(len(names) - 1, -1, -1):
         if needed[joint] and parents[joint] >= 0:
             needed[parents[joint]] = True
-    return [name for name, kept in zip(names, needed, strict=True) if not kept]
+    return tuple(name for name, kept in zip(names, needed, strict=True) if not kept)
 
 
 def varied(materials: list[Material], count: int, seed: int) -> Floats:

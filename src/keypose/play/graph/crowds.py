@@ -37,7 +37,8 @@ class GraphCrowd:
     """Characters of one graph and one skeleton; made by `prepare_crowd`, written by `set_parameter` and `animate_crowd`.
 
     Shapes and units:
-        program: the graph with the crowd's compiled clips; `step` with it is the reference for what the crowd does.
+        program: the graph with the crowd's compiled clips; `step` with it is the reference for what the crowd does;
+            ``source`` is the program that it was made from.
         models: (blocks, J, 12, W) float32, rows of 3x4 matrices model_from_joint (with the character's place in the world,
             where the graph applies root motion), characters in the lanes, joints as in the skeleton.
         roots: (count, 3) float64, where each character is: x m, z m, yaw rad; may be written between steps.
@@ -49,6 +50,7 @@ class GraphCrowd:
     """
 
     program: Program
+    source: Program
     count: int
     threads: int
     models: Array = field(repr=False)
@@ -103,13 +105,15 @@ def prepare_crowd(
     threads: int = 1,
     tolerance_m: float = TOLERANCE_M,
     pool_bytes: int = 8 << 20,
+    like: GraphCrowd | None = None,
 ) -> GraphCrowd:
     """A crowd of ``count`` characters that play a graph.
 
     Shapes and units: ``parameters`` as in `set_parameter`, used at once; ``roots`` (count, 3): x m, z m, yaw rad.
     ``levels``: per level of detail above 0 the joints that are left out (with all below them); each level leaves out at least
     what the one before does. Their matrices are then left as they were. ``threads`` share the characters, each with a pool of
-    decoded samples of ``pool_bytes``; the result is the same.
+    decoded samples of ``pool_bytes``; the result is the same. ``like``: a crowd of the same program and levels, whose compiled
+    clips are taken over; that saves most of the time.
 
     Raises:
         ShapeError, UnknownName: for numbers that do not fit, parameters or joints that do not exist.
@@ -126,7 +130,9 @@ def prepare_crowd(
     place_of = np.argsort(order)
     bones = _reordered(skeleton, order, place_of)
     tables = lower(program, place_of, np.asarray(bones.parents))
-    compiled = tuple(_compiled(program, bones, order, tolerance_m))
+    if like is not None and (like.source is not program or like.clips[0].joint_names != bones.names):
+        raise ShapeError("like: expected a crowd of the same program and levels")
+    compiled = like.clips if like is not None else tuple(_compiled(program, bones, order, tolerance_m))
     blocks = -(-count // WIDTH)
     threads = min(threads, blocks)
     curves, contacts = len(program.curve_names), len(program.graph.contacts)
@@ -177,6 +183,7 @@ def prepare_crowd(
         workers.append(_worker(program, tables, own, shared, layout, memory_size, count, int(first), int(last)))
     made = GraphCrowd(
         _playing(program, compiled, place_of),
+        program,
         count,
         threads,
         shared["models"].reshape(blocks, skeleton.joint_count, 12, WIDTH),
@@ -186,7 +193,7 @@ def prepare_crowd(
         shared["touching"][:, :contacts],
         shared["every"],
         shared["level"],
-        compiled[: len(program.assets)],
+        compiled,
         tuple(tuple(skeleton.names[order[j]] for j in range(n)) for n in kept),
         tables,
         shared,
