@@ -161,6 +161,31 @@ def test_a_bound_skin_stands_where_its_geometry_is(data_dir: Path, name: str) ->
     np.testing.assert_allclose(np.asarray(part.skin.weights).sum(axis=1), 1, atol=1e-12)
 
 
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "alike"), [("walk", 67), ("skeleton", 37)])
+def test_the_same_scene_as_fbx(data_dir: Path, name: str, alike: int) -> None:
+    """Every joint of the walk; of the other file all but the fingers, which the two exports bend differently."""
+    pytest.importorskip("ufbx", reason="ufbx is not installed")
+    scenes = [
+        keypose.io.load(data_dir / f"collada/ozz/{name}.dae"),
+        keypose.io.load(data_dir / f"fbx/ozz_pab/{name}.fbx"),
+    ]
+    mine, theirs = (scene.character.skeleton for scene in scenes)
+    times = np.linspace(0, 1.3, 14)
+    a, b = (
+        np.asarray(evaluate.world_rotations_positions(k, evaluate.sample(s.animations[0], k, times))[1])
+        for s, k in zip(scenes, (mine, theirs), strict=True)
+    )
+    distance = [
+        np.linalg.norm(a[:, joint] - b[:, theirs.index(joint_name)], axis=1).max()
+        for joint, joint_name in enumerate(mine.names)
+    ]
+    same = np.array(distance) < 5e-6
+    assert same.sum() == alike
+    assert all(any(word in n for word in ("Thumb", "Index", "Middle", "Ring", "Pinky", "Finger"))
+               for n, s in zip(mine.names, same, strict=True) if not s)  # fmt: skip
+
+
 # --- transforms -------------------------------------------------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ import shutil
 import tempfile
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,14 @@ from keypose.model import Markers, Scene, Signals
 _FRAMES, _MARKERS, _CHANNELS, _SAMPLES, _RATE_HZ = 2751, 42, 16, 10, 120.0
 _TAKE = f"C3D load, {_MARKERS} markers x {_FRAMES} frames"
 _ANALOG = f"C3D load, {_MARKERS} markers and {_CHANNELS} channels x {_FRAMES} frames"
+_AMC = "AMC load with its ASF, 30 bones x 2,751 frames"
 _WRITE = f"C3D write, {_MARKERS} markers x {_FRAMES} frames"
 
 
 def add(suite: Suite) -> None:
     """All cases of the suite."""
     add_c3d(suite)
+    add_amc(suite)
 
 
 def add_c3d(suite: Suite) -> None:
@@ -72,6 +75,54 @@ def add_c3d(suite: Suite) -> None:
                 pass
 
     suite.case(_TAKE, "ms", 1, load, frames, against="c3d")
+
+
+def add_amc(suite: Suite) -> None:
+    """A text as those of the CMU database: 62 numbers of six digits in each frame."""
+    import keypose.io
+
+    folder = Path(tempfile.mkdtemp(prefix="keypose-bench-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path, counts = folder / "take.amc", [6, *([3, 1, 2, 3, 1, 2] * 5)[:29]]
+    (folder / "take.asf").write_text(_skeleton(counts[1:]))
+    rng = np.random.default_rng(6)
+    values = np.cumsum(rng.normal(0, 0.4, (_FRAMES, sum(counts))), axis=0)
+    names = ["root", *(f"bone{i:02d}" for i in range(len(counts) - 1))]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    lines = [":FULLY-SPECIFIED", ":DEGREES"]
+    for frame, row in enumerate(values.tolist(), 1):
+        lines.append(str(frame))
+        for name, a, b in zip(names, starts, starts[1:], strict=False):
+            lines.append(" ".join([name, *(f"{v:.6g}" for v in row[a:b])]))
+    path.write_text("\n".join(lines) + "\n")
+
+    def plain() -> np.ndarray:
+        """What everybody writes: split and float, without a skeleton, rotations or any check."""
+        rows: list[float] = []
+        with path.open() as file:
+            for line in file:
+                rows.extend(float(word) for word in line.split()[1:])
+        return np.array(rows[: _FRAMES * sum(counts)]).reshape(_FRAMES, -1)
+
+    motion = keypose.io.load(path).animations[0]
+    suite.check(
+        "AMC: root", float(np.abs(motion.pose.translations[:, 0] / (0.0254 / 0.45) - plain()[:, :3]).max()), 1e-9
+    )
+    size = path.stat().st_size
+    suite.case(_AMC, "MB/s", size, lambda: keypose.io.load(path), plain, against="split and float", note="aim: 100")
+
+
+def _skeleton(counts: list[int]) -> str:
+    dofs = {1: "rx", 2: "rx rz", 3: "rx ry rz"}
+    bones = "".join(
+        f"  begin\n id {i + 1}\n name bone{i:02d}\n direction 0 1 0\n length 2\n axis 0 0 {i} XYZ\n dof {dofs[n]}\n  end\n"
+        for i, n in enumerate(counts)
+    )
+    tree = "".join(f"    {'root' if i % 6 == 0 else f'bone{i - 1:02d}'} bone{i:02d}\n" for i in range(len(counts)))
+    return (
+        ":version 1.10\n:units\n length 0.45\n angle deg\n:root\n order TX TY TZ RX RY RZ\n axis XYZ\n"
+        f" position 0 0 0\n orientation 0 0 0\n:bonedata\n{bones}:hierarchy\n  begin\n{tree}  end\n"
+    )
 
 
 def _take() -> Scene:
