@@ -315,7 +315,9 @@ def graph(
 
 @app.command(epilog=_examples("keypose bench", "keypose bench kernels --json kernels.json"))
 def bench(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="kernels, bvh, fk; all if not given.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="kernels, bvh, fk, runtime, io; all if not given.")
+    ] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")] = None,
     rounds: Annotated[int, typer.Option("--rounds", help="How often every case is timed.", min=3, max=500)] = 15,
 ) -> None:
