@@ -44,7 +44,7 @@ def test_the_public_names() -> None:
     assert sorted(model.__all__) == [
         "Channel", "Character", "Clip", "Curve", "CurveKind", "Event", "Extrapolation", "ForcePlate", "Image",
         "Interpolation", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Pose", "Property", "Scene", "Signals", "Skeleton",
-        "Skin",
+        "Skin", "Tier",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 

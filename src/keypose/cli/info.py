@@ -26,6 +26,8 @@ def describe(scene: Scene) -> dict[str, Any]:
         clips.append({"name": animation.name, "frames": frames, "rate_hz": rate, "duration_s": animation.duration_s})
     names = [name for c in scene.characters for name in c.skeleton.names]
     morphs = [name for c in scene.characters for name in c.morph_names]
+    if not scene.characters and scene.animations and isinstance(scene.animations[0], Motion):
+        morphs = list(scene.animations[0].morph_names)  # a take of a face alone
     first: dict[str, Any] = {"frames": None, "rate_hz": None, "duration_s": None}
     if clips:
         first = clips[0]
@@ -80,11 +82,12 @@ def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | Non
         ):
             table.add_column(title, justify=side)  # pyright: ignore[reportArgumentType]
         for animation, clip in zip(scene.animations, facts["clips"], strict=True):
-            channels = (
-                f"{len(animation.curves)} curves"
-                if isinstance(animation, Clip)
-                else f"{len(animation.joint_names)} joints"
-            )
+            if isinstance(animation, Clip):
+                channels = f"{len(animation.curves)} curves"
+            else:
+                weights = [f"{len(animation.morph_names)} weights"] if animation.morph_names else []
+                joints = [f"{len(animation.joint_names)} joints"] if animation.joint_names or not weights else []
+                channels = ", ".join(joints + weights)
             table.add_row(
                 f"  {escape(clip['name'] or '(unnamed)')}",
                 "—" if clip["frames"] is None else f"{clip['frames']:,}",
@@ -94,6 +97,13 @@ def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | Non
             )
         out.print(table)
     _print_capture(out, scene)
+    for tier in scene.tiers:
+        kind = "point" if tier.is_points else "interval"
+        spoken = " ".join(label for label in tier.labels if label)
+        out.print(
+            f"  {escape(tier.name or 'tier')}: {file_word(len(tier.labels), kind)}, {tier.start_s:.3f} to {tier.end_s:.3f} s"
+        )
+        out.print(f"    [dim]{escape(spoken[:100] + ('…' if len(spoken) > 100 else ''))}[/dim]")
     for note in scene.notes:
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
 

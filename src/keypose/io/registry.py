@@ -96,6 +96,20 @@ def _is_collada(head: bytes) -> bool:
     return re.search(rb"<(?:[A-Za-z_][\w.-]*:)?COLLADA[\s>]", head) is not None
 
 
+def _no_mark(head: bytes) -> bool:
+    """Of formats that only their suffix tells."""
+    return False
+
+
+def _is_livelink(head: bytes) -> bool:
+    return head.removeprefix(b"\xef\xbb\xbf")[:25].lower().replace(b" ", b"") == b"timecode,blendshapecount,"
+
+
+def _is_textgrid(head: bytes) -> bool:
+    text = head[:200].replace(b"\0", b"")  # UTF-16 too
+    return b"ooTextFile" in text and b"TextGrid" in text
+
+
 _formats: dict[str, Format] = {}
 
 
@@ -119,6 +133,9 @@ register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3
 register(Format("trc", (".trc",), _is_trc, "keypose.io.trc:read", "keypose.io.trc:write"))
 register(Format("csm", (".csm",), _is_csm, "keypose.io.csm:read", "keypose.io.csm:write"))
 register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.obj:write"))
+register(Format("livelink", (".csv",), _is_livelink, "keypose.io.livelink:read", "keypose.io.livelink:write"))
+register(Format("textgrid", (".textgrid",), _is_textgrid, "keypose.io.textgrid:read", "keypose.io.textgrid:write"))
+register(Format("hts", (".lab",), _no_mark, "keypose.io.labels:read"))
 
 
 def formats() -> tuple[Format, ...]:

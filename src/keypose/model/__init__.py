@@ -1,4 +1,4 @@
-"""Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, markers, scenes."""
+"""Frozen data types: skeletons, poses, motions, curves, clips, meshes, skins, characters, markers, labels, scenes."""
 
 import copyreg
 from types import MappingProxyType
@@ -6,6 +6,7 @@ from typing import Any
 
 from keypose.model.character import Character, Part, Scene
 from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
+from keypose.model.labels import Tier
 from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
 from keypose.model.pose import Event, Motion, Pose
@@ -34,6 +35,7 @@ __all__ = [
     "Signals",
     "Skeleton",
     "Skin",
+    "Tier",
 ]
 
 

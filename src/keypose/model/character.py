@@ -12,6 +12,7 @@ import numpy as np
 from keypose.arrays import Array, Ints, as_float, checked, frozen
 from keypose.errors import ShapeError, UnknownName
 from keypose.model.curve import Clip
+from keypose.model.labels import Tier
 from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Material, Mesh, MorphSet, Skin
 from keypose.model.pose import Motion
@@ -136,9 +137,10 @@ class Scene:
     markers: tuple[Markers, ...] = ()
     signals: tuple[Signals, ...] = ()
     plates: tuple[ForcePlate, ...] = ()
+    tiers: tuple[Tier, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("characters", "animations", "notes", "markers", "signals", "plates"):
+        for name in ("characters", "animations", "notes", "markers", "signals", "plates", "tiers"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
