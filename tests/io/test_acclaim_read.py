@@ -286,6 +286,20 @@ def test_finding_the_skeleton(take: Path) -> None:
         keypose.io.load(take, skeleton=str(folder / "none.asf"))
 
 
+def test_a_skeleton_beside_it_in_a_command(take: Path, tmp_path: Path) -> None:
+    from keypose.cli.inputs import open_inputs
+
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    skeleton = str((tmp_path / "small.asf").rename(elsewhere / "body.asf"))
+    with pytest.raises(FormatError, match="give both to keypose convert"):
+        open_inputs([str(take)])
+    for order in ([str(take), skeleton], [skeleton, str(take)]):
+        scenes = open_inputs(order, unit="cm")
+        taken = scenes[order.index(str(take))]
+        assert motion_of(taken).frame_count == 3 and taken.unit_m == 0.01
+
+
 def test_rate_and_first_frame(take: Path) -> None:
     assert motion_of(keypose.io.load(take)).rate_hz == 120
     assert motion_of(keypose.io.load(take, rate_hz=60)).rate_hz == 60

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import keypose.io
 from keypose import analysis, evaluate, samples
@@ -150,6 +151,29 @@ def test_dofs_grow_where_a_bone_moves_otherwise(tmp_path: Path) -> None:
     back = keypose.io.load(tmp_path / "bent.amc")
     assert back.character.extras["acclaim"]["bones"]["knee"]["dof"] == "rx ry rz"
     assert error(bent, back).rotation_deg < 1e-4
+
+
+def test_a_root_that_starts_elsewhere(tmp_path: Path) -> None:
+    """Position is added to the root's values; orientation gives the axes in which its angles are measured."""
+    text = ASF.replace("position 0 0 0", "position 1 2 3").replace("orientation 0 0 0", "orientation 0 90 0")
+    (tmp_path / "small.asf").write_text(text)
+    (tmp_path / "small.amc").write_text(AMC)
+    scene = keypose.io.load(tmp_path / "small.amc")
+    motion = scene.animations[0]
+    assert isinstance(motion, Motion)
+    unit_m = 0.0254 / 0.45
+    np.testing.assert_allclose(motion.pose.translations[0, 0], np.array([2, 22, 6]) * unit_m, atol=1e-12)
+    turn = Rotation.from_euler("y", 90, degrees=True)
+    expected = turn * Rotation.from_euler("xyz", (10, 20, 30), degrees=True) * turn.inv()
+    found = Rotation.from_quat(np.asarray(motion.pose.rotations)[0, 0], scalar_first=True)
+    assert (found * expected.inv()).magnitude() < 1e-12
+    for axes in ("world", "bone"):
+        scene = keypose.io.load(tmp_path / "small.amc", axes=axes)
+        keypose.io.save(scene, tmp_path / "again.amc")
+        back = keypose.io.load(tmp_path / "again.amc")
+        assert error(scene, back).position_mm < 1e-4
+        rest = [s.character.skeleton.rest.translations for s in (scene, back)]
+        np.testing.assert_allclose(rest[0], rest[1], atol=1e-9)
 
 
 def test_options(tmp_path: Path) -> None:

@@ -30,10 +30,19 @@ def open_inputs(references: list[str], *, unit: str | None = None, up: str | Non
     for name, takes in takers.items():
         if not takes:
             raise ShapeError(f"--{name}: all of these files say their {name}, so there is nothing to set")
+    skeletons = [r for r in references if Path(r).suffix.lower() == ".asf"]
     return [
-        open_input(r, unit=unit if r in takers.get("unit", ()) else None, up=up if r in takers.get("up", ()) else None)
-        for r in references
+        _open(r, {name: value for name, value in given.items() if r in takers[name]}, skeletons) for r in references
     ]
+
+
+def _open(reference: str, options: dict[str, Any], skeletons: list[str]) -> Scene:
+    """One of several inputs; an AMC file, which holds no skeleton, takes the one that is named beside it."""
+    from keypose.samples import open_scene
+
+    if len(skeletons) == 1 and _takes(reference, "skeleton") and reference not in skeletons:
+        options = {**options, "skeleton": skeletons[0]}
+    return open_scene(reference, **options)
 
 
 def file_word(count: int, word: str, plural: str | None = None) -> str:
