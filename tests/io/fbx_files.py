@@ -57,11 +57,19 @@ class FbxFile:
             self.connect(identity, model)
         return identity
 
-    def curve(self, target: int, prop: str, channel: str, keys: Sequence[tuple[float, float]], layer: int) -> None:
-        """Linear keys of one component of a property."""
-        curve_node, _ = self.add(
-            "AnimationCurveNode", prop, "", "AnimCurveNode", [(channel, "Number", "", "A", keys[0][1])]
-        )
+    def curve(
+        self,
+        target: int,
+        prop: str,
+        channel: str,
+        keys: Sequence[tuple[float, float]],
+        layer: int,
+        rest: Sequence[float] = (),
+    ) -> None:
+        """Linear keys of one component of a property; ``rest`` are all components where no curve is."""
+        rows = [(f"d|{axis}", "Number", "", "A", float(v)) for axis, v in zip("XYZ", rest, strict=False)]
+        rows = rows or [(channel, "Number", "", "A", float(keys[0][1]))]
+        curve_node, _ = self.add("AnimationCurveNode", prop, "", "AnimCurveNode", rows)
         self.connect(curve_node, layer)
         self.connect(curve_node, target, prop)
         curve, item = self.add("AnimationCurve", "", "", "AnimCurve")

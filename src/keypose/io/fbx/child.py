@@ -149,9 +149,11 @@ def read_meshes(record, scene):
     for mesh in items(hold(scene.meshes)):
         layers = items(hold(mesh.uv_sets))
         colors = hold(mesh.vertex_color)
+        parts = hold(hold(mesh.props).find_prop("keypose_parts"))
         facts.append(
             {
                 "name": mesh.name,
+                "parts": parts.value_str if parts is not None else "",
                 "positions": record.buffer(hold(mesh.vertices), 3),
                 "corners": record.indices(hold(mesh.vertex_indices)),
                 "faces": record.indices(chain.from_iterable(hold(mesh.faces))),
@@ -207,6 +209,7 @@ def read_morphs(record, scene):
         channels.append(
             {
                 "name": channel.name,
+                "place": hold(channel.props).find_int("keypose_place", -1),
                 "weight": channel.weight,
                 "keys": [[k.target_weight, hold(k.shape).typed_id] for k in keys],
             }

@@ -25,7 +25,8 @@ def _material(record: Record, item: Mapping[str, Any], notes: Notes) -> Material
     if item["base_color"] is not None:
         factor = _number(item["base_factor"], 1.0)
         red, green, blue = (_unit(float(c) * factor) for c in item["base_color"][:3])
-    opacity = _unit(_number(item["opacity"], 1.0))
+    veil = _number(item["transparency_factor"], 1.0) * float(np.mean(item["transparency"][:3]))
+    opacity = _unit(_number(item["opacity"], 1 - veil))
     if opacity == 0:
         notes.add(f"material '{name}': it is wholly transparent, which is hardly meant; it was taken as opaque")
         opacity = 1.0

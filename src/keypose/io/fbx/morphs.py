@@ -40,6 +40,7 @@ def build(record: Record, notes: Notes) -> Morphs:
     stacks: Sequence[Mapping[str, Any]] = record.facts["stacks"]
     weights = [[record.array(w["values"]) for w in stack["weights"]] for stack in stacks]
     unique, names, rest = UniqueNames(), list[str](), list[float]()
+    places: list[int] = []  # that keypose has written
     known: dict[Any, int] = {}
     tracks: list[list[Floats]] = [[] for _ in stacks]
     targets: list[list[Target]] = []
@@ -62,11 +63,19 @@ def build(record: Record, notes: Notes) -> Morphs:
                     if names[-1] != key_name:
                         notes.add(f"blend channel '{key_name}' appears more than once; one became '{names[-1]}'")
                     rest.append(float(values[0][0]))
+                    places.append(int(item["place"]))
                     for stack, track in zip(tracks, values[1:], strict=True):
                         stack.append(track)
                 mine.append(Target(known[identity], keys[place][1]))
         targets.append(mine)
-    return Morphs(tuple(names), np.array(rest, np.float64), targets, tracks)
+    order = np.argsort(places, kind="stable") if min(places, default=-1) >= 0 else np.arange(len(places))
+    rank = np.argsort(order)
+    return Morphs(
+        tuple(names[k] for k in order),
+        np.array(rest, np.float64)[order],
+        [[Target(int(rank[t.channel]), t.shape) for t in mine] for mine in targets],
+        [[stack[k] for k in order] if stack else [] for stack in tracks],
+    )
 
 
 def _channel_name(name: str, deformer: str, number: int) -> str:

@@ -27,6 +27,11 @@ class Group:
     joint: int | None  # of the node that shows them
     carried: bool = field(default=False)  # by a node of their own, below the joint if there is one
 
+    @property
+    def first(self) -> Part:
+        """Any of the parts, for what they share."""
+        return self.parts[0]
+
 
 def group_parts(character: Character, notes: Notes) -> list[Group]:
     """The parts of a character in as few meshes as possible, and the nodes that show them."""
@@ -80,9 +85,11 @@ class SurfaceWriter:
             self._morphs(character, group, geometry)
 
     def _geometry(self, group: Group, model: int) -> int:
-        parts = group.parts
+        parts, first = group.parts, group.first
         identity, item = self._objects.add("Geometry", _mesh_name(parts), "Mesh")
         self._objects.connect(identity, model)
+        if len(parts) > 1:
+            item.children.append(properties([("keypose_parts", "KString", "", "U", "\n".join(p.name for p in parts))]))
         offsets = _offsets(parts)
         positions = np.concatenate([np.asarray(p.mesh.positions, np.float64) for p in parts]) * self._scale
         triangles = np.concatenate([p.mesh.triangles + o for p, o in zip(parts, offsets, strict=False)]).astype(
@@ -95,18 +102,18 @@ class SurfaceWriter:
         item.add("Vertices", positions.reshape(-1))
         item.add("PolygonVertexIndex", closed.reshape(-1))
         layers: list[tuple[str, Node]] = []
-        if parts[0].mesh.normals is not None:
+        if first.mesh.normals is not None:
             normals = np.concatenate([np.asarray(p.mesh.normals, np.float64) for p in parts])
             layers.append(("LayerElementNormal", _layer("Normal", 0, 101, "", "ByPolygonVertex", "Direct")))
             layers[-1][1].add("Normals", normals[corners].reshape(-1))
-        for number_of_layer, name in enumerate(_uv_names(parts[0])):
+        for number_of_layer, name in enumerate(_uv_names(first)):
             uvs = np.concatenate([np.asarray(_uvs(p, name), np.float64) for p in parts])
             uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
             layer = _layer("UV", number_of_layer, 101, f"UV{number_of_layer}", "ByPolygonVertex", "IndexToDirect")
             layer.add("UV", uvs.reshape(-1))
             layer.add("UVIndex", corners)
             layers.append(("LayerElementUV", layer))
-        if parts[0].mesh.colors is not None:
+        if first.mesh.colors is not None:
             colors = np.concatenate([np.asarray(p.mesh.colors, np.float64) for p in parts])
             layer = _layer("Color", 0, 101, "Color", "ByPolygonVertex", "IndexToDirect")
             layer.add("Colors", colors.reshape(-1))
@@ -209,7 +216,9 @@ class SurfaceWriter:
             channel.add("Version", 100)
             channel.add("DeformPercent", percent)
             channel.add("FullWeights", np.array([100.0]))
-            channel.children.append(properties([number("DeformPercent", percent)]))
+            channel.children.append(
+                properties([number("DeformPercent", percent), ("keypose_place", "int", "Integer", "U", morph)])
+            )
             self._objects.connect(identity, deformer)
             shape, geometry_of_shape = self._objects.add("Geometry", name, "Shape")
             self._objects.connect(shape, identity)

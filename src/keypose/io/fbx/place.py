@@ -21,15 +21,14 @@ def place_of_damage(path: Path) -> str:
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES)
-            whole = not file.read(1)
     except OSError:
         return ""
     if data.startswith(MARK[:20]):
-        return _in_binary(data, whole)
+        return _in_binary(data)
     return _in_text(data)
 
 
-def _in_binary(data: bytes, whole: bool) -> str:
+def _in_binary(data: bytes) -> str:
     if len(data) < _HEADER:
         return f"byte {len(data)}, within the header"
     version = int.from_bytes(data[23:27], "little")
@@ -54,7 +53,7 @@ def _in_binary(data: bytes, whole: bool) -> str:
             continue
         name = data[position + layout.size : position + layout.size + name_length].decode("ascii", "replace")
         body = position + layout.size + name_length + length
-        inside = open_nodes[-1][1] if open_nodes else (len(data) if whole else 1 << 62)
+        inside = open_nodes[-1][1] if open_nodes else 1 << 62
         if end > inside or body > end or not name.isprintable() or len(open_nodes) > _MOST_DEPTH:
             within = f" in node '{_way(open_nodes)}'" if open_nodes else f" after {last}"
             return f"byte {position}{within}"

@@ -136,5 +136,6 @@ def _record(arrays: bytes, text: bytes) -> Record | FormatError:
     facts = json.loads(text)
     if "error" not in facts:
         return Record(facts, arrays)
-    what = " ".join(str(facts["error"]).split())[:300] or "it cannot be read"
+    what = " ".join(str(facts["error"]).split())[:300]
+    what = "its structure is damaged" if what in ("", "Failed to load") else what
     return FormatError(what, where=str(facts.get("where", "")))

@@ -132,13 +132,11 @@ class _Parts:
         self._group = 0
 
     def parts(self) -> list[Part]:
-        """All parts in the order of their nodes."""
-        found: list[Part] = []
-        for node in self._tree.nodes:
-            item = self._record.facts["nodes"][node]
-            if int(item["mesh"]) >= 0:
-                found += self._of_node(node, item)
-        return found
+        """All parts in the order of the file's meshes."""
+        facts = self._record.facts["nodes"]
+        showing = [node for node in self._tree.nodes if int(facts[node]["mesh"]) >= 0]
+        showing.sort(key=lambda node: int(facts[node]["mesh"]))
+        return [part for node in showing for part in self._of_node(node, facts[node])]
 
     def _of_node(self, node: int, item: Mapping[str, Any]) -> list[Part]:
         number = int(item["mesh"])
@@ -161,6 +159,9 @@ class _Parts:
         if len(mesh["morphs"]) > 1:
             self._notes.add(f"{where}: it has {len(mesh['morphs'])} blend deformers; their targets were joined")
         targets = [target for deformer in mesh["morphs"] for target in self._morphs.targets[deformer]]
+        names = str(mesh["parts"]).split("\n")
+        if not mesh["parts"] or len(names) != len(surfaces):
+            names = [base if len(surfaces) == 1 else f"{base}_{index}" for index in range(len(surfaces))]
         parts: list[Part] = []
         for index, surface in enumerate(surfaces):
             morphs = channels = None
@@ -170,7 +171,7 @@ class _Parts:
                 morphs, channels = morph_set(self._record, targets, self._morphs.names, points, count, linear, where)
             parts.append(
                 Part(
-                    name=base if len(surfaces) == 1 else f"{base}_{index}",
+                    name=names[index],
                     mesh=_with_method(_moved(surface.mesh, geometry), surface, binding),
                     material=self._material(item, mesh, surface.slot),
                     skin=None if binding is None else binding.of(surface.control_points),
