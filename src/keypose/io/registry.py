@@ -96,6 +96,14 @@ def _is_collada(head: bytes) -> bool:
     return re.search(rb"<(?:[A-Za-z_][\w.-]*:)?COLLADA[\s>]", head) is not None
 
 
+def _is_npz(head: bytes) -> bool:
+    return head.startswith(b"PK\x03\x04") and b".npy" in head[30:100]
+
+
+def _is_safetensors(head: bytes) -> bool:
+    return head[8:9] == b"{" and b'"__metadata__"' in head
+
+
 def _no_mark(head: bytes) -> bool:
     """Of formats that only their suffix tells."""
     return False
@@ -136,6 +144,16 @@ register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.ob
 register(Format("livelink", (".csv",), _is_livelink, "keypose.io.livelink:read", "keypose.io.livelink:write"))
 register(Format("textgrid", (".textgrid",), _is_textgrid, "keypose.io.textgrid:read", "keypose.io.textgrid:write"))
 register(Format("hts", (".lab",), _no_mark, "keypose.io.labels:read"))
+register(Format("npz", (".npz",), _is_npz, "keypose.io.arrays_npz:read", "keypose.io.arrays_npz:write"))
+register(
+    Format(
+        "safetensors",
+        (".safetensors",),
+        _is_safetensors,
+        "keypose.io.arrays_safetensors:read",
+        "keypose.io.arrays_safetensors:write",
+    )
+)
 
 
 def formats() -> tuple[Format, ...]:
