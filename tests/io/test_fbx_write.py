@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import subprocess
 import sys
 from dataclasses import replace
@@ -36,7 +37,7 @@ from keypose.model import (
     Skin,
 )
 from keypose.samples import load as load_sample
-from tests.conftest import data_files
+from tests.conftest import ROOT, data_files
 
 pytest.importorskip("ufbx")
 
@@ -257,3 +258,8 @@ def test_convert_there_and_back_prints_the_proof(tmp_path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
         assert done.returncode == 0, done.stderr
         assert "read back" in done.stdout and "positions within 0.000" in done.stdout
+
+
+def test_the_page() -> None:
+    result = doctest.testfile(str(ROOT / "docs" / "formats" / "fbx.md"), module_relative=False, encoding="utf-8")
+    assert result.attempted and not result.failed
