@@ -200,3 +200,18 @@ def test_a_thousand_damaged_files(tmp_path: Path) -> None:
 def test_the_page() -> None:
     result = doctest.testfile(str(ROOT / "docs/formats/livelink.md"), module_relative=False, encoding="utf-8")
     assert result.attempted and not result.failed
+
+
+@pytest.mark.parametrize("flood", [",", "a,", "\n", "0,", "00:00:00:00.0,61,\n", ":"])
+def test_floods_of_one_thing(path: Path, flood: str) -> None:
+    """Half a megabyte of the same in the header and after it: no quadratic time."""
+    import time
+
+    for text in (HEADER + flood * (500_000 // len(flood)) + "\n", HEADER + "\n" + flood * (500_000 // len(flood))):
+        path.write_text(text)
+        start = time.perf_counter()
+        try:
+            keypose.io.load(path)
+        except FormatError as error:
+            assert len(str(error)) < 600
+        assert time.perf_counter() - start < 5

@@ -365,3 +365,37 @@ def test_a_thousand_damaged_files(tmp_path: Path) -> None:
 def test_the_page() -> None:
     result = doctest.testfile(str(ROOT / "docs/formats/obj.md"), module_relative=False, encoding="utf-8")
     assert result.attempted and not result.failed
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [
+        "{",
+        "\n",
+        " ",
+        "f 1 2 3\n",
+        "v 0 0 0\nvt 0 0\n",
+        "g a\nf 1 2 3\n",
+        "f 1 2 3 4 5 6 7 8 9\n",
+        "f" + " 1 2 3" * 3000 + "\n",
+        "\\\n",
+        "#\n",
+    ],
+)
+def test_floods_of_one_thing(tmp_path: Path, flood: str) -> None:
+    """A megabyte of the same: no quadratic time, no recursion."""
+    import time
+
+    path = written(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\n" * 3 + flood * (1_000_000 // len(flood)) + "\nf 1 2 3\n")
+    start = time.perf_counter()
+    try:
+        keypose.io.load(path)
+    except FormatError as error:
+        assert len(str(error)) < 600
+    assert time.perf_counter() - start < 8
+
+
+def test_too_many_groups_are_refused(tmp_path: Path) -> None:
+    groups = "".join(f"g a{k}\nf 1 2 3\n" for k in range(20_000))
+    with pytest.raises(FormatError, match="20000 combinations"):
+        keypose.io.load(written(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + groups))

@@ -84,7 +84,8 @@ def _table(data: bytes, notes: list[str]) -> tuple[list[str], Floats]:
     if len(header) < 3 or header[0].lower() != "timecode" or header[1].lower() != "blendshapecount":
         raise FormatError(f"expected Timecode,BlendshapeCount,…, got {shown(head)}", where="line 1")
     names = header[2:]
-    twice = next((n for n in names if [m.lower() for m in names].count(n.lower()) > 1), None)
+    seen: set[str] = set()
+    twice = next((n for n in names if n.lower() in seen or seen.add(n.lower())), None)
     if twice is not None or not all(names):
         raise FormatError(f"column {shown(twice or '')} is there twice or has no name", where="line 1")
     known = {name.lower() for name in COLUMNS}

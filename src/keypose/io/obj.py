@@ -30,6 +30,7 @@ from keypose.model import Character, Material, Mesh, Part, Pose, Scene, Skeleton
 __all__ = ["read", "write"]
 
 _HEAD_BYTES = 4096
+_MOST_PARTS = 10_000
 _MAKEHUMAN_JOINTS = re.compile(r"joint-[a-z]")
 Targets = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -190,8 +191,13 @@ class _Reader:
         parts: list[Part] = []
         unique = UniqueNames()
         of_triangle = text.face_groups[self.faces]
+        order = np.argsort(of_triangle, kind="stable")
+        ends = np.searchsorted(of_triangle[order], np.arange(len(text.groups) + 1))
+        used = int(np.count_nonzero(np.diff(ends)))
+        if used > _MOST_PARTS:
+            raise FormatError(f"{used} combinations of object, group and material; at most {_MOST_PARTS} are read")
         for number, group in enumerate(text.groups):
-            mine = self.triangles[of_triangle == number]
+            mine = self.triangles[order[ends[number] : ends[number + 1]]]
             if not len(mine):
                 continue
             pieces = [p for p in (group.object, group.group, group.material) if p]
