@@ -208,6 +208,21 @@ def test_a_rotation_order_that_is_not_active_does_not_count_in_motion_either(tmp
         np.testing.assert_allclose(pose.broadcast().translations[k, 0], pivot - quat.rotate(expected, pivot), atol=1e-8)
 
 
+def test_layers_that_turn_such_a_node_are_kept_with_a_note(tmp_path: Path) -> None:
+    file = FbxFile()
+    node = file.model("a", RotationOrder=3, Lcl_Rotation=(30, 40, 50))
+    file.mesh(node)
+    layer = file.stack("take", 0, 1)
+    second, _ = file.add("AnimationLayer", "second", "", "AnimLayer")
+    stack = next(o for o in file.objects if o.name == "AnimationStack")
+    file.connect(second, int.from_bytes(stack.properties[0][1:], "little"))
+    for number in (layer, second):
+        file.curve(node, "Lcl Rotation", "d|X", [(0, 0), (1, 10)], number, (0, 0, 0))
+    scene = read(file.save(tmp_path / "a.fbx"))
+    assert scene.animation("take").curves
+    assert any("several layers turn it" in note for note in scene.notes)
+
+
 def test_in_betweens_become_targets_of_their_own(tmp_path: Path) -> None:
     """At weight 25 % half of the shape of 50 % is seen, at 75 % half of each, at 100 % the last alone."""
     half, full = np.tile([0, 0, 3.0], (4, 1)), np.tile([0, 4.0, 0], (4, 1))

@@ -337,6 +337,7 @@ class Evaluate:
     def __init__(self, ufbx, nodes):
         self._ufbx = ufbx
         self.blend_weight = ufbx.evaluate_blend_weight
+        self.notes = []
         self._orders = {n.typed_id: IgnoredOrder(ufbx, n) for n in nodes if IgnoredOrder.holds(n)}
 
     def rest(self, node):
@@ -354,7 +355,10 @@ class Evaluate:
         curves = [hold(layer.find_anim_prop(node, "Lcl Rotation")) for layer in items(hold(stack.layers))]
         curves = [hold(curve.anim_value) for curve in curves if curve is not None]
         if len(curves) > 1:
-            raise Refusal(f"node '{node.name}'", "its rotation order is not active and several layers turn it")
+            self.notes.append(
+                f"node '{node.name}': several layers turn it by a rotation order that is not active; it was kept"
+            )
+            return found
         angles = [curves[0].evaluate_vec3(t) for t in times] if curves else [order.rest_angles] * len(times)
         return [order.applied(value, turned) for value, turned in zip(found, angles, strict=True)]
 
@@ -504,6 +508,7 @@ def understood(record, path, ufbx):
     if not (math.isfinite(rate) and 0 < rate <= 100_000):
         raise Refusal("GlobalSettings", f"the frame rate is {rate:g} Hz")
     facts["stacks"] = read_stacks(record, scene, nodes, rate, evaluate)
+    facts["notes"] = evaluate.notes[:1000]
     return facts
 
 

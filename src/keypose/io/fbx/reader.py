@@ -74,6 +74,8 @@ def _scene(path: Path, record: Record) -> Scene:
     for text, count in facts["warnings"]:
         if "UTF-8" not in text:  # names of the author's machine in another encoding, of no concern
             notes.add(f"repaired: {text}" + (f" ({count} times)" if count > 1 else ""))
+    for text in facts["notes"]:
+        notes.add(str(text))
     unit_m = float(facts["unit_m"])
     if not (np.isfinite(unit_m) and 1e-6 < unit_m < 1e6):
         notes.add(f"its unit of {unit_m:g} m is impossible; taken as cm")
