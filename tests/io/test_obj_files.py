@@ -326,6 +326,19 @@ def test_a_face_comes_back(data_dir: Path, tmp_path: Path) -> None:
         assert np.abs(a.mesh.positions[a.mesh.triangles] - b.mesh.positions[b.mesh.triangles]).max() < 1e-6
 
 
+def test_the_proof_of_a_rig_that_becomes_a_mesh(tmp_path: Path) -> None:
+    """OBJ holds no joints: the proof says so, and how far the vertices are from those of the rest pose."""
+    from keypose.analysis import scene_error
+
+    rest = Pose(np.array([[0, 1.0, 0], [0, 0.5, 0]]), np.tile((0.8, 0.6, 0, 0), (2, 1)), np.ones((2, 3)))
+    skeleton = Skeleton(("hips", "chest"), [-1, 0], rest)
+    scene = Scene((Character(skeleton, (Part("body", Mesh(np.eye(3), [[0, 1, 2]]), joint=1),), "figure"),))
+    keypose.io.save(scene, tmp_path / "figure.obj")
+    error = scene_error(scene, keypose.io.load(tmp_path / "figure.obj"))
+    assert error.motion is None and "2 of 2 joints (hips, chest)" in error.missing
+    assert error.vertex_mm is not None and error.vertex_mm < 1e-3
+
+
 def test_pictures_go_beside_the_file(tmp_path: Path) -> None:
     from keypose.model import Image
 

@@ -71,7 +71,7 @@ def scene_error(original: Scene, copy: Scene) -> SceneError:
     missing: list[str] = []
     _missing(missing, "character", [c.name for c in original.characters], [c.name for c in copy.characters])
     pairs = _clip_pairs(original, copy, missing)
-    motion = _worst_motion(original, copy, pairs)
+    motion = _worst_motion(original, copy, pairs, missing)
     vertex, part, morph, morph_name = _surfaces(original, copy, pairs, missing)
     marker_mm = None
     _missing(missing, "marker set", [m.name for m in original.markers], [m.name for m in copy.markers])
@@ -103,11 +103,14 @@ def _clip_pairs(original: Scene, copy: Scene, missing: list[str]) -> list[tuple[
 
 
 def _worst_motion(
-    original: Scene, copy: Scene, pairs: list[tuple[Clip | Motion, Clip | Motion]]
+    original: Scene, copy: Scene, pairs: list[tuple[Clip | Motion, Clip | Motion]], missing: list[str]
 ) -> RoundtripError | None:
     if not original.characters or not copy.characters:
         return None
     source, result = original.character.skeleton, copy.character.skeleton
+    if not set(source.names) & set(result.names):  # of formats that hold meshes only
+        _missing(missing, "joint", source.names, ())
+        return None
     errors = [roundtrip_error(a, b, source, result) for a, b in pairs]
     if not errors:
         return roundtrip_error(_at_rest(source), _at_rest(result), source, result)
@@ -146,6 +149,10 @@ def _surfaces(
                 points = np.asarray(deform_part(a, a.parts[part], places_a, weights_a), np.float64)
                 copied = np.asarray(deform_part(b, b.parts[other], places_b, weights_b), np.float64)
                 apart = _vertex_distance(points, copied)
+                corners = a.parts[part].mesh.triangles, b.parts[other].mesh.triangles
+                if apart > 0 and len(corners[0]) and len(corners[0]) == len(corners[1]):
+                    # vertices may have changed their order; triangle by triangle they are the same
+                    apart = min(apart, _vertex_distance(points[corners[0].ravel()], copied[corners[1].ravel()]))
                 if worst[0] is None or apart > worst[0]:
                     worst = apart, a.parts[part].name
     return worst[0], worst[1], weight[0], weight[1]
