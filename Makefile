@@ -57,7 +57,7 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml hatch_build.py $(CLIENT)
 $(VENV)/.tools: $(VENV)/.installed
 	@echo "installing the test tools"
 	@$(BIN)/python -m pip install --disable-pip-version-check -q -U "pip>=25.1"
-	@$(BIN)/python -m pip install -q --group test --group check --group peers -e '.[compression]'
+	@$(BIN)/python -m pip install -q --group test --group check --group peers --group formats -e '.[compression]'
 ifeq ($(TORCH),1)
 	@echo "installing PyTorch for the tests of gradients"
 	@$(BIN)/python -m pip install -q --group torch
