@@ -227,3 +227,20 @@ def test_a_thousand_damaged_files(tmp_path: Path, suffix: str) -> None:
     assert result["slowest_s"] < 2, result["slowest"]
     assert result["peak_mib"] < 1024
     assert result["loaded"] > 50 and result["refused"] > 150
+
+
+@pytest.mark.parametrize("suffix", ["trc", "csm"])
+@pytest.mark.parametrize("letter", ["\t", "$a\n", "A ", "1\t", "nan\t", "DROPOUT ", "\n"])
+def test_floods_of_one_thing(tmp_path: Path, suffix: str, letter: str) -> None:
+    """Half a megabyte of the same at several places: no quadratic time."""
+    import time
+
+    text = TRC if suffix == "trc" else CSM
+    flood = letter * (500_000 // len(letter))
+    for place in (0, 60, 110, 230, len(text)):
+        start = time.perf_counter()
+        try:
+            _load(tmp_path, text[:place] + flood + text[place:], suffix)
+        except FormatError as error:
+            assert len(str(error)) < 600
+        assert time.perf_counter() - start < 5, place

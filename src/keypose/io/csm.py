@@ -49,6 +49,7 @@ _KEYWORDS = (
 _DROPOUT = re.compile(rb"[A-Za-z]+")
 _DEFAULT_RATE_HZ = 120.0
 _SAMPLED_FRAMES = 9
+_MOST_NOTES = 8
 _STATURE_M = 1.5  # from the lowest to the highest marker of a standing adult
 _FEWEST_MARKERS = 10
 _MOST_FILLED = 4  # rows there may be for each that the file holds, where frames are left out
@@ -78,6 +79,9 @@ class _Reader:
     def __init__(self, data: bytes, name: str) -> None:
         self.size, self.name = len(data), name
         self.notes: list[str] = []
+        self.faults = 0
+        self.by_fold = {keyword.lower(): keyword for keyword in _KEYWORDS}
+        self.known: dict[str, str | None] = {**self.by_fold}
         self.sections = self.read_sections(numbered_lines(data))
 
     def read_sections(self, lines: list[_Line]) -> dict[str, list[_Line]]:
@@ -93,7 +97,7 @@ class _Reader:
                     current = None
                     continue
                 if keyword in found:
-                    self.notes.append(f"line {number}: ${keyword} comes twice; the first one counts")
+                    self.fault(f"line {number}: ${keyword} comes twice; the first one counts")
                     current = None
                     continue
                 current = found.setdefault(keyword, [])
@@ -106,18 +110,27 @@ class _Reader:
                 raise FormatError(f"there is no ${needed}", where=f"line {lines[-1][0]}")
         return found
 
+    def fault(self, note: str) -> None:
+        """A note of an odd line; a flood of them is told once."""
+        self.faults += 1
+        if self.faults <= _MOST_NOTES:
+            self.notes.append(note)
+        elif self.faults == _MOST_NOTES + 1:
+            self.notes.append("more such lines follow")
+
     def keyword(self, word: bytes, number: int) -> str | None:
         """The keyword that a word means, whatever its case, and with a typing error or two."""
         text = decoded(word[:64])
-        folded = {keyword.lower(): keyword for keyword in _KEYWORDS}
-        if text.lower() in folded:
-            return folded[text.lower()]
-        close = difflib.get_close_matches(re.sub(r"[^a-z]", "", text.lower()), folded, n=1, cutoff=0.75)
-        if close:
-            self.notes.append(f"line {number}: {shown('$' + text)} taken as ${folded[close[0]]}")
-            return folded[close[0]]
-        self.notes.append(f"line {number}: {shown('$' + text)} is not known; passed over")
-        return None
+        folded = re.sub(r"[^a-z]", "", text.lower())
+        if folded not in self.known:
+            close = difflib.get_close_matches(folded, self.by_fold, n=1, cutoff=0.75) if len(self.known) < 1000 else []
+            self.known[folded] = self.by_fold[close[0]] if close else None
+        found = self.known[folded]
+        if found is None:
+            self.fault(f"line {number}: {shown('$' + text)} is not known; passed over")
+        elif text.lower() != found.lower():
+            self.fault(f"line {number}: {shown('$' + text)} taken as ${found}")
+        return found
 
     def value(self, keyword: str) -> str:
         lines = self.sections.get(keyword, [])
@@ -164,6 +177,7 @@ class _Reader:
         width = 1 + 3 * count
         rows: list[bytes] = []
         numbers: list[int] = []
+        nothing: set[bytes] = set()  # words that stand for a marker that was not seen
         for number, line in self.sections["Points"]:
             cells = line.split()
             dropped = (
@@ -173,12 +187,13 @@ class _Reader:
             )
             if dropped:
                 for i in dropped:
-                    if not difflib.get_close_matches(
-                        decoded(cells[i][:16]).upper(), ["DROPOUT", "DROPOUTS", "NAN"], n=1, cutoff=0.7
-                    ):
-                        raise FormatError(
-                            f"expected a number or DROPOUT, found {shown(cells[i])}", where=f"line {number}"
-                        )
+                    if cells[i] not in nothing:
+                        word = decoded(cells[i][:16]).upper()
+                        if not difflib.get_close_matches(word, ["DROPOUT", "DROPOUTS", "NAN"], n=1, cutoff=0.7):
+                            raise FormatError(
+                                f"expected a number or DROPOUT, found {shown(cells[i])}", where=f"line {number}"
+                            )
+                        nothing.add(cells[i])
                 # the word stands for a marker, or for each of its three numbers
                 each = 3 if len(cells) != width and len(cells) + 2 * len(dropped) == width else 1
                 cells = _replaced(cells, set(dropped), each)
