@@ -252,6 +252,37 @@ def test_sparse_clips_are_baked_and_what_is_lost_is_said(tmp_path: Path) -> None
     assert found.times_s[-1] == pytest.approx(0.31) and found.values[-1, 0] == pytest.approx(1, abs=0.02)
 
 
+def test_several_takes_do_not_mix(tmp_path: Path) -> None:
+    """What one take does not animate rests in it, whatever the others do; one in which everything rests keeps its length."""
+    rng = np.random.default_rng(11)
+    joints = 150
+    rest = Pose(rng.normal(size=(joints, 3)), quat.normalize(rng.normal(size=(joints, 4))), np.ones((joints, 3)))
+    skeleton = Skeleton(tuple(f"j{j}" for j in range(joints)), np.arange(joints) - 1, rest)
+    clips = [Clip({}, "still", 30)]
+    for name in ("a", "b", "c"):
+        curves = {
+            Channel(f"j{j}", Property.TRANSLATION): Curve(np.array([0.0, 1.0]), rng.normal(size=(2, 3)))
+            for j in rng.permutation(joints)[:70]
+        }
+        clips.append(Clip(curves, name, 30))
+    pose = Pose(rest.translations[None], rest.rotations[None], rest.scales[None])
+    clips[0] = Motion(
+        skeleton.names,
+        Pose(*(np.repeat(a, 31, axis=0) for a in (pose.translations, pose.rotations, pose.scales))),
+        30.0,
+        "still",
+    )  # type: ignore[call-overload]
+    write(Scene((Character(skeleton),), tuple(clips)), tmp_path / "a.fbx")
+    back = read(tmp_path / "a.fbx")
+    assert [c.name for c in back.animations] == ["still", "a", "b", "c"]
+    for clip, found in zip(clips, back.animations, strict=True):
+        assert isinstance(found, Clip) and found.duration_s == pytest.approx(1)
+        if isinstance(clip, Clip):
+            assert found.curves.keys() == clip.curves.keys()
+            for channel, curve in clip.curves.items():
+                np.testing.assert_allclose(found.curves[channel].values[[0, -1]], curve.values, atol=1e-6)
+
+
 def test_convert_there_and_back_prints_the_proof(tmp_path: Path) -> None:
     for source, target in (("sample:walk", "a.fbx"), ("a.fbx", "b.glb"), ("b.glb", "c.fbx")):
         command = [sys.executable, "-m", "keypose", "convert", source, target]

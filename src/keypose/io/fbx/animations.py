@@ -34,8 +34,8 @@ def clips(record: Record, tree: Hierarchy, morphs: Morphs, unit_m: float, notes:
             clip.add_joint(track)
         for name, rest, track in zip(morphs.names, morphs.rest_weights, morphs.tracks[number], strict=True):
             clip.add(name, Property.WEIGHT, CurveKind.SCALAR, track[:, None], np.array([rest]))
-        if not clip.curves:
-            notes.add(f"{where}: its keys leave everything at rest and it was left out")
+        if not clip.curves and not clip.hold(0):
+            notes.add(f"{where}: its keys move nothing and it was left out")
             continue
         _note_keys_outside(stack, rate, where, notes)
         if stack["layers"] > 1:
@@ -94,6 +94,15 @@ class _Clip:
             self._moving = True
         elif float(np.abs(values[0] - rest).max()) > STILL:
             self.curves[Channel(target, property)] = Curve(self.times[:1], values[:1], Interpolation.LINEAR, kind=kind)
+
+    def hold(self, joint: int) -> bool:
+        """Keep a clip in which everything rests by a curve that keeps a joint where it is; whether there is one."""
+        if joint >= self._tree.skeleton.joint_count:
+            return False
+        values = np.asarray(self._tree.skeleton.rest.rotations[joint])[None]
+        channel = Channel(self._tree.skeleton.names[joint], Property.ROTATION)
+        self.curves[channel] = Curve(self.times[:1], values, Interpolation.LINEAR, kind=CurveKind.ROTATION)
+        return True
 
     def finish(self) -> Mapping[Channel, Curve]:
         """The curves; a clip in which nothing moves keeps its length by one curve with a key at its end."""

@@ -23,6 +23,7 @@ ARRAY, FACTS = b"array   ", b"facts   "
 MOST_FRAMES = 1_000_000
 MOST_SAMPLES = 50_000_000
 DEPTH_LIMIT = 512
+DROPPED = ("constraints", "line_curves", "nurbs_curves", "nurbs_surfaces", "lod_groups")
 
 _held = []
 
@@ -309,6 +310,7 @@ def read_stacks(record, scene, nodes, rate, evaluate):
         if not curves:
             continue
         times = frame_times(begin, end, rate, where)
+        animated = evaluate.animated(stack)
         samples += len(times) * (len(nodes) + len(channels))
         if samples > MOST_SAMPLES:
             raise Refusal(where, f"{len(times):,} frames of {len(nodes):,} nodes are too many")
@@ -316,7 +318,7 @@ def read_stacks(record, scene, nodes, rate, evaluate):
         for index, node in enumerate(nodes):
             if node.is_root:
                 continue
-            found = evaluate.transforms(stack, anim, node, times)
+            found = evaluate.transforms(stack, anim, node, times, animated)
             track = {"node": index}
             for name in ("translation", "rotation", "scale"):
                 values = [getattr(value, name) for value in found]
@@ -326,7 +328,9 @@ def read_stacks(record, scene, nodes, rate, evaluate):
                 track[name] = record.reals(chain.from_iterable(values), len(start))
             item["tracks"].append(track)
         for index, channel in enumerate(channels):
-            values = [evaluate.blend_weight(anim, channel, t) for t in times]
+            values = [channel.weight] * len(times)
+            if channel.element_id in animated:
+                values = [evaluate.blend_weight(anim, channel, t) for t in times]
             item["weights"].append({"channel": index, "values": record.reals(values)})
     return facts
 
@@ -337,6 +341,7 @@ class Evaluate:
     def __init__(self, ufbx, nodes):
         self._ufbx = ufbx
         self.blend_weight = ufbx.evaluate_blend_weight
+        self._helpers = any(node.is_scale_helper for node in nodes)
         self.notes = []
         self._orders = {n.typed_id: IgnoredOrder(ufbx, n) for n in nodes if IgnoredOrder.holds(n)}
 
@@ -345,8 +350,39 @@ class Evaluate:
         order = self._orders.get(node.typed_id)
         return node.local_transform if order is None else order.applied(node.local_transform, order.rest_angles)
 
-    def transforms(self, stack, anim, node, times):
-        """The transforms of a node at some times."""
+    @staticmethod
+    def animated(stack):
+        """The names of the properties that a stack animates, by the numbers of their elements."""
+        found = {}
+        for layer in items(hold(stack.layers)):
+            for prop in items(hold(layer.anim_props)):
+                found.setdefault(hold(prop.element).element_id, set()).add(prop.prop_name)
+        return found
+
+    def transforms(self, stack, anim, node, times, animated):
+        """The transforms of a node at some times; only one, its rest, where the stack does not animate it.
+
+        For a property that a stack does not animate ufbx 0.0.5 now and then takes the keys of another element, so what
+        cannot move is put back to rest.
+        """
+        names = animated.get(node.element_id, set())
+        if self._helpers:  # nodes that move with the scale of another, which no property of theirs tells
+            return self._evaluated(stack, anim, node, times)
+        if not names:
+            return [self.rest(node)]
+        rest, found = self.rest(node), self._evaluated(stack, anim, node, times)
+        still_place = "Lcl Translation" not in names and not _has_pivots(node)
+        still_turn, still_size = "Lcl Rotation" not in names, "Lcl Scaling" not in names
+        return [
+            self._ufbx.Transform(
+                rest.translation if still_place else value.translation,
+                rest.rotation if still_turn else value.rotation,
+                rest.scale if still_size else value.scale,
+            )
+            for value in found
+        ]
+
+    def _evaluated(self, stack, anim, node, times):
         evaluate = self._ufbx.evaluate_transform
         found = [evaluate(anim, node, t) for t in times]
         order = self._orders.get(node.typed_id)
@@ -390,6 +426,13 @@ class IgnoredOrder:
         before, after = _turned(value.rotation, self._arm), _turned(rotation, self._arm)
         moved = tuple(t + a - b for t, a, b in zip(value.translation, after, before, strict=True))
         return self._transform(moved, rotation, value.scale)
+
+
+def _has_pivots(node):
+    """Whether turning or scaling a node also moves it."""
+    zero = (0.0, 0.0, 0.0)
+    names = ("RotationPivot", "RotationOffset", "ScalingPivot", "ScalingOffset")
+    return any(any(_vector(node, name, zero)) for name in names)
 
 
 def _vector(node, name, default):
@@ -492,18 +535,7 @@ def understood(record, path, ufbx):
         "morph_channels": channels,
         "shapes": shapes,
         "materials": read_materials(record, scene),
-        "dropped": {
-            name: len(hold(getattr(scene, name)))
-            for name in (
-                "cameras",
-                "lights",
-                "constraints",
-                "line_curves",
-                "nurbs_curves",
-                "nurbs_surfaces",
-                "lod_groups",
-            )
-        },
+        "dropped": {name: len(hold(getattr(scene, name))) for name in DROPPED},
     }
     if not (math.isfinite(rate) and 0 < rate <= 100_000):
         raise Refusal("GlobalSettings", f"the frame rate is {rate:g} Hz")

@@ -90,8 +90,23 @@ class AnimationWriter:
         layer, _ = self._objects.add("AnimationLayer", "BaseLayer", "", "AnimLayer")
         self._objects.connect(layer, stack)
         self.takes.append((name, start, stop))
+        before = self._objects.counts.get("AnimationCurve", 0)
         for written in self._written:
             self._for_character(animation, written, layer)
+        if self._objects.counts.get("AnimationCurve", 0) == before:
+            self._hold(layer, start, stop)
+
+    def _hold(self, layer: int, start: int, stop: int) -> None:
+        """Keys that keep a joint where it is, so that an animation in which everything rests is one and has a length."""
+        for written in self._written:
+            if written.character.skeleton.joint_count:
+                times = np.unique(np.array([start, stop], np.int64))
+                rest = np.asarray(written.character.skeleton.rest.translations[0], np.float64) * self._scale
+                model = written.models[0].identity
+                self._curves(
+                    layer, model, "Lcl Translation", ("d|X", "d|Y", "d|Z"), times, np.tile(rest, (len(times), 1))
+                )
+                return
 
     def _note_targets(self, animation: Clip | Motion, name: str) -> None:
         if isinstance(animation, Motion):
