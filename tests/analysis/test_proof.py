@@ -23,8 +23,10 @@ def human() -> Scene:
 
 def test_a_copy_is_exact(human: Scene) -> None:
     error = scene_error(human, human)
-    assert error.within(0, 0) and error.clips == 2
-    assert error.vertex_mm == 0 and error.morph == 0 and not error.missing
+    # Skinning may go from NumPy to kernels between two calls: the same to rounding.
+    assert error.within(1e-3, 0) and error.clips == 2
+    assert error.motion is not None and error.motion.position_mm == 0
+    assert error.morph == 0 and not error.missing
 
 
 def with_part(scene: Scene, **more: Any) -> Scene:

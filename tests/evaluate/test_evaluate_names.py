@@ -17,8 +17,9 @@ def test_the_public_names() -> None:
         "snap_to_keys", "to_clip", "unmatched", "world", "world_rotations_positions",
     ]  # fmt: skip
     assert sorted(deform.__all__) == [
-        "METHODS", "Method", "PackReport", "deform_character", "deform_part", "morph", "morph_absolute",
-        "morphs_from_shapes", "pack", "skin", "skin_matrices", "skin_points", "transform_normals",
+        "METHODS", "Method", "PackReport", "SurfaceError", "deform_character", "deform_part", "morph", "morph_absolute",
+        "morphs_from_shapes", "nearest_kept", "pack", "rebind", "simplify", "skin", "skin_matrices", "skin_points",
+        "surface_error", "transform_normals",
     ]  # fmt: skip
     assert sorted(analysis.__all__) == ["RoundtripError", "contact_changes", "find_contacts", "roundtrip_error"]
     for package in (evaluate, deform, analysis):
