@@ -21,7 +21,17 @@ def test_the_public_names() -> None:
         "morphs_from_shapes", "nearest_kept", "pack", "rebind", "simplify", "skin", "skin_matrices", "skin_points",
         "surface_error", "transform_normals",
     ]  # fmt: skip
-    assert sorted(analysis.__all__) == ["RoundtripError", "contact_changes", "find_contacts", "roundtrip_error"]
+    assert sorted(analysis.__all__) == [
+        "Examination",
+        "Finding",
+        "RoundtripError",
+        "SceneError",
+        "contact_changes",
+        "examine",
+        "find_contacts",
+        "roundtrip_error",
+        "scene_error",
+    ]
     for package in (evaluate, deform, analysis):
         assert all(hasattr(package, name) for name in package.__all__)
 
