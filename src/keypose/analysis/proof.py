@@ -144,7 +144,7 @@ def _surfaces(
                 apart = abs(float(weights_a[a.morph_index(name)]) - float(weights_b[b.morph_index(name)]))
                 if weight[0] is None or apart > weight[0]:
                     weight = apart, name
-            places_a, places_b = world(a.skeleton, pose_a), world(b.skeleton, pose_b)
+            places_a, places_b = world(a.skeleton, _double(pose_a)), world(b.skeleton, _double(pose_b))
             for part, other in _part_pairs(a, b):
                 points = np.asarray(deform_part(a, a.parts[part], places_a, weights_a), np.float64)
                 copied = np.asarray(deform_part(b, b.parts[other], places_b, weights_b), np.float64)
@@ -156,6 +156,11 @@ def _surfaces(
                 if worst[0] is None or apart > worst[0]:
                     worst = apart, a.parts[part].name
     return worst[0], worst[1], weight[0], weight[1]
+
+
+def _double(pose: Pose) -> Pose:
+    """In double precision: what is measured is the file, not the rounding of skinning."""
+    return Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
 
 
 def _rest_weights(character: Character) -> Floats:
