@@ -6,7 +6,7 @@ import pytest
 from keypose import deform, evaluate, io
 from keypose.model import Character, Pose, Scene, Skeleton
 from keypose.render import DARK, Camera, RenderSettings, render_image
-from keypose.render.bones import axes_figure, bones_figure, side_of, sides
+from keypose.render.bones import axes_figure, bones_figure, figure_joints, side_of, sides
 from tests.conftest import data_files
 
 LEFT = [
@@ -127,3 +127,10 @@ def test_real_skeletons_fill_the_picture(path):
     rows = np.nonzero(alpha.max(axis=1))[0]
     assert 0.5 < np.ptp(rows) / 200 < 0.9
     assert (alpha > 0).mean() > 0.02
+
+
+def test_roots_with_nothing_below_are_no_part_of_a_figure() -> None:
+    places = np.array([[50.0, 0, 0], [0, 1, 0], [0, 0.5, 0]])
+    pose = Pose(places, np.tile([1.0, 0, 0, 0], (3, 1)), np.ones((3, 3)))
+    assert figure_joints(Skeleton(("camera", "hips", "spine"), np.array([-1, -1, 1]), pose)).tolist() == [1, 2]
+    assert figure_joints(Skeleton(("a", "b", "c"), np.array([-1, -1, -1]), pose)).tolist() == [0, 1, 2]

@@ -71,6 +71,14 @@ def sides(skeleton: Skeleton) -> Ints:
     return np.where(np.abs(x) > 0.04 * max(float(np.ptp(x)), 1e-12), np.sign(x), 0).astype(np.int32)
 
 
+def figure_joints(skeleton: Skeleton) -> Ints:
+    """The joints that make a figure: roots with nothing below (cameras' places, props) are none beside a real tree."""
+    parents = np.asarray(skeleton.parents)
+    above = np.bincount(parents[parents >= 0], minlength=len(parents)) > 0
+    found = np.flatnonzero((parents >= 0) | above)
+    return found if len(found) else np.arange(len(parents))
+
+
 def bones_figure(skeleton: Skeleton, theme: Theme) -> Figure | None:
     """Octahedral bones and joint spheres, coloured by side; None for a skeleton without joints."""
     if not skeleton.joint_count:
@@ -82,7 +90,8 @@ def bones_figure(skeleton: Skeleton, theme: Theme) -> Figure | None:
     lengths = np.linalg.norm(spans, axis=1)
     kept = lengths > 1e-6 * max(float(lengths.max(initial=0.0)), 1e-12)
     joints, tips, spans, lengths = joints[kept], tips[kept], spans[kept], lengths[kept]
-    unit = _unit(places, lengths)
+    shown = figure_joints(skeleton)
+    unit = _unit(places[shown], lengths)
     axes = np.einsum("bji,bj->bi", rotations[joints], spans / lengths[:, None])
     girths = np.minimum(0.115 * lengths, 0.021 * unit)
     girths[_leads(skeleton, joints, tips, lengths)] *= 0.22
@@ -99,10 +108,10 @@ def bones_figure(skeleton: Skeleton, theme: Theme) -> Figure | None:
         # a bone takes the colour of what it leads to: the collar bone of the arm, not of the spine
         color = colors[tips[b]] if tips[b] >= 0 else colors[joints[b]]
         builder.add(*_octahedron(axes[b], float(lengths[b]), float(girths[b])), color)
-    for j in range(skeleton.joint_count):
+    for j in shown:
         builder.add(*_sphere(float(radii[j]), 2 if radii[j] > 0.008 * unit else 1), colors[j] * 0.82)
-    pieces = skeleton.joint_count
-    every = np.arange(pieces, dtype=np.int32)
+    pieces = len(shown)
+    every = shown.astype(np.int32)
     return Figure(
         builder.character("bones", Material("bones", (1, 1, 1, 1), roughness=0.55)),
         np.concatenate([joints, every]),

@@ -12,7 +12,7 @@ from keypose import deform, evaluate
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.model import Character, Clip, Motion, Pose, Scene
-from keypose.render.bones import Figure, axes_figure, bones_figure
+from keypose.render.bones import Figure, axes_figure, bones_figure, figure_joints
 from keypose.render.dots import marker_scene
 from keypose.render.settings import RenderSettings
 
@@ -237,7 +237,7 @@ def _actor_points(actor: Actor, times_s: Floats) -> Floats:
     """World positions (T, N, 3) that stand for the actor's shape at T times: of its mesh, or of its joints."""
     world = actor.matrices(times_s)
     points = _points(actor.character, world, actor.morph_weights(times_s))
-    return world[..., :3, 3] if points is None else points
+    return world[..., figure_joints(actor.character.skeleton), :3, 3] if points is None else points
 
 
 def _points(character: Character, world: Floats, weights: Floats) -> Floats | None:
