@@ -17,9 +17,10 @@ import pytest
 
 from keypose import deform, evaluate
 from keypose.io.gltf import hierarchy, read, write
-from keypose.io.gltf.checking import Notes, parse_json
 from keypose.io.gltf.container import open_container
 from keypose.io.gltf.document import parse
+from keypose.io.json_values import parse_json
+from keypose.io.notes import Notes
 from tests.conftest import find_data_dir
 from tests.io.gltf_node import npm_package
 

@@ -11,8 +11,9 @@ import pytest
 
 import keypose.io
 from keypose.errors import FormatError, UnknownName
-from keypose.io.gltf.checking import Notes
-from keypose.io.obj_polygons import smooth_normals, triangulate
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes
+from keypose.io.obj_polygons import triangulate
 from keypose.io.obj_text import parse
 from keypose.model import Character, Material, Mesh, MorphSet, Part, Pose, Scene, Skeleton
 from tests.conftest import ROOT, find_data_dir

@@ -21,7 +21,7 @@ import numpy as np
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.io import arrays_amass, atomic
 from keypose.io.axes import checked_up
-from keypose.io.gltf.checking import parse_json
+from keypose.io.json_values import parse_json
 from keypose.io.motion_arrays import Record, facts_text, to_record, to_scene
 from keypose.io.text import shown
 from keypose.model import Scene

@@ -16,7 +16,7 @@ import numpy as np
 
 from keypose.errors import FormatError
 from keypose.io import atomic
-from keypose.io.gltf.checking import Json, parse_json
+from keypose.io.json_values import Json, parse_json
 from keypose.io.motion_arrays import Record, facts_text, to_record, to_scene
 from keypose.model import Scene
 

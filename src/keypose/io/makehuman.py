@@ -17,11 +17,12 @@ import numpy as np
 from keypose.arrays import Array, Floats, Ints
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.io.axes import UNITS_M, y_up_rotation
-from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.makehuman_files import Rig, read_pose_names, read_rig, read_target, read_weights
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes, UniqueNames
 from keypose.io.obj_materials import beside
 from keypose.io.obj_pieces import Piece, picked, piece, sparse_targets
-from keypose.io.obj_polygons import smooth_normals, triangulate
+from keypose.io.obj_polygons import triangulate
 from keypose.io.obj_text import ObjText, read_text
 from keypose.io.text import shown
 from keypose.math import quat

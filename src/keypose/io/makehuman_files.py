@@ -13,7 +13,7 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Json, parse_json
+from keypose.io.json_values import Json, parse_json
 from keypose.io.text import line_of, parse_block, shown, to_number
 
 LARGEST_BYTES = 64 << 20

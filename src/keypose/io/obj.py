@@ -17,10 +17,11 @@ import numpy as np
 from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError, ShapeError
 from keypose.io.axes import checked_up, guess_mesh_unit, unit_in_metres, y_up_rotation
-from keypose.io.gltf.checking import Notes, UniqueNames
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes, UniqueNames
 from keypose.io.obj_materials import read_materials
 from keypose.io.obj_pieces import Piece, picked, piece, sparse_targets
-from keypose.io.obj_polygons import smooth_normals, triangulate
+from keypose.io.obj_polygons import triangulate
 from keypose.io.obj_text import ObjText, read_text
 from keypose.io.obj_writer import UNIT_COMMENT
 from keypose.io.obj_writer import write as write

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.io.text import shown, to_number
 from keypose.model import Image, Material
 

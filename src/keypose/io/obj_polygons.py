@@ -109,15 +109,3 @@ def _best_ear(flat: Floats, left: list[int]) -> int:
 
 def _cross(a: Floats, b: Floats) -> Floats:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def smooth_normals(positions: Floats, triangles: Ints) -> Floats:
-    """Unit normals (V, 3): the mean of the triangles around each vertex, weighted by their area; +Y where there is none."""
-    corners = positions[triangles]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.stack(
-        [np.bincount(triangles.ravel(), np.repeat(area[:, axis], 3), minlength=len(positions)) for axis in range(3)],
-        axis=1,
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 1e-30, total / np.maximum(length, 1e-30), (0.0, 1.0, 0.0))

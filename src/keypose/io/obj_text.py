@@ -14,7 +14,7 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.io.text import line_of, parse_block, shown, to_number
 
 LARGEST_BYTES = 1 << 30

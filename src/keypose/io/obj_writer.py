@@ -14,7 +14,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io import atomic
 from keypose.io.axes import unit_in_metres
-from keypose.io.gltf.checking import Notes, UniqueNames
+from keypose.io.notes import Notes, UniqueNames
 from keypose.io.obj_materials import checked_name, library_text
 from keypose.io.text import format_rows
 from keypose.model import Character, Material, Scene

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from keypose.io.fbx.process import Record
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.model import Image, Material
 
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg"}

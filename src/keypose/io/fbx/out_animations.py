@@ -12,7 +12,7 @@ from keypose.arrays import Array, Floats
 from keypose.evaluate import bake, key_rate, resample
 from keypose.io.fbx.binary import Long, properties
 from keypose.io.fbx.out_nodes import ORDER, Model, Objects, number
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.math import euler, quat
 from keypose.model import Character, Clip, Motion, Property
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from keypose.io.fbx.binary import properties
 from keypose.io.fbx.out_nodes import Objects, number, vector
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.model import Image, Material
 
 

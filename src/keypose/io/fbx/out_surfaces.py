@@ -13,7 +13,7 @@ from keypose.io.fbx.binary import Long, Node, node, properties
 from keypose.io.fbx.out_materials import MaterialWriter
 from keypose.io.fbx.out_nodes import MESH, Model, Objects, add_model, matrix_values, number, place_of, transform_rows
 from keypose.io.fbx.surfaces import DQ_ATTRIBUTE
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.model import Character, Part, Skin
 
 KEPT_ATTRIBUTES = ("TEXCOORD_", DQ_ATTRIBUTE)

@@ -14,8 +14,8 @@ from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, affine
 from keypose.io.fbx.polygons import triangulate
 from keypose.io.fbx.process import Record, sane
-from keypose.io.gltf.checking import Notes
-from keypose.io.gltf.surfaces import smooth_normals
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes
 from keypose.model import Mesh, Skin
 
 LINEAR, RIGID, DUAL_QUATERNION, BLENDED = range(4)

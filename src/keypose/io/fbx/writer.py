@@ -17,7 +17,7 @@ from keypose.io.fbx.out_animations import CUSTOM_MODE, TIME_MODES, AnimationWrit
 from keypose.io.fbx.out_materials import MaterialWriter
 from keypose.io.fbx.out_nodes import LIMB, MESH, NULL, Objects, add_models
 from keypose.io.fbx.out_surfaces import Group, SurfaceWriter, group_parts
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 from keypose.model import Character, Scene
 
 

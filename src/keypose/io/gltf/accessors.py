@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from keypose.errors import FormatError
 from keypose.io.gltf import compression
-from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
 from keypose.io.gltf.document import WIDTHS, Accessor, BufferView, Document
+from keypose.io.notes import Notes
 
 # How much may be decoded from one file: views may overlap and accessors may have no bytes at all, so that a small
 # file can ask for any amount of memory.

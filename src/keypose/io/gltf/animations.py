@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from keypose.errors import FormatError
 from keypose.io.gltf.accessors import PER_ITEM, Arrays
-from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.document import Animation, Document, Sampler
 from keypose.io.gltf.hierarchy import OWN
+from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
 
 MODES = {"STEP": Interpolation.STEP, "LINEAR": Interpolation.LINEAR, "CUBICSPLINE": Interpolation.HERMITE}

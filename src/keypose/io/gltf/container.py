@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import unquote_to_bytes
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes
+from keypose.io.notes import Notes
 
 MAGIC = b"glTF"
 JSON_CHUNK = 0x4E4F534A

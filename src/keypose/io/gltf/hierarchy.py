@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.document import Document, Node
+from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 
 # A mark in a node's extras: the writer made the node only to carry a skinned mesh, or to give several roots a common

@@ -9,7 +9,8 @@ import re
 from collections.abc import Iterable, Mapping
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Json, Notes
+from keypose.io.json_values import Json
+from keypose.io.notes import Notes
 
 # VRM 1 renamed the thumb: what VRM 0 calls proximal is the metacarpal bone.
 THUMB = {"thumb_proximal": "thumb_metacarpal", "thumb_intermediate": "thumb_proximal"}

@@ -11,9 +11,10 @@ from typing import Any
 
 from keypose.errors import FormatError
 from keypose.io.gltf.accessors import Arrays
-from keypose.io.gltf.checking import Json, Notes
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
 from keypose.io.gltf.document import Document, ImageItem
+from keypose.io.json_values import Json
+from keypose.io.notes import Notes
 from keypose.model import Image, Material
 
 LARGEST_IMAGE = 256 << 20

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from keypose.evaluate import to_clip
 from keypose.io.gltf.buffers import Buffers
-from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.hierarchy import OWN
 from keypose.io.gltf.keyframes import Track, join, single_precision, track_of
+from keypose.io.notes import Notes
 from keypose.model import Channel, Character, Clip, Curve, Extrapolation, Interpolation, Motion, Property
 
 NAMES = {Interpolation.STEP: "STEP", Interpolation.LINEAR: "LINEAR", Interpolation.HERMITE: "CUBICSPLINE"}

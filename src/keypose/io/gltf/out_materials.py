@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from keypose.io.gltf.buffers import Buffers
-from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.materials import unlit_extension
+from keypose.io.notes import Notes
 from keypose.model import Image, Material
 
 TEXTURE_EXTENSIONS = {"image/webp": "EXT_texture_webp", "image/ktx2": "KHR_texture_basisu"}

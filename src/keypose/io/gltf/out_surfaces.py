@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from keypose.arrays import Ints
 from keypose.io.gltf.buffers import Buffers
-from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.hierarchy import OWN
 from keypose.io.gltf.out_materials import MaterialWriter, plain_json
-from keypose.io.gltf.surfaces import WEIGHT_TOLERANCE, smooth_normals
+from keypose.io.gltf.surfaces import WEIGHT_TOLERANCE
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes
 from keypose.model import Character, Mesh, Part, Skin
 
 # How far normals and tangents may be from unit length before they are scaled; the Khronos validator allows 6.7e-3.

@@ -13,12 +13,13 @@ from keypose.errors import FormatError, ShapeError
 from keypose.io.gltf import hierarchy, humanoid
 from keypose.io.gltf.accessors import PER_ITEM, Arrays
 from keypose.io.gltf.animations import Animations, MorphChannels, MorphInstance
-from keypose.io.gltf.checking import Json, Notes, parse_json
 from keypose.io.gltf.container import open_container
 from keypose.io.gltf.document import Document, MeshItem, parse
 from keypose.io.gltf.hierarchy import OWN, Hierarchy
 from keypose.io.gltf.materials import Materials
 from keypose.io.gltf.surfaces import Surfaces, target_names
+from keypose.io.json_values import Json, parse_json
+from keypose.io.notes import Notes
 from keypose.model import Character, Part, Scene
 
 Understand = Callable[[Scene, Json, Document, Hierarchy, Notes], Scene]

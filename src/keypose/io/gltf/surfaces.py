@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from keypose.arrays import Ints
 from keypose.errors import FormatError, MissingExtra
 from keypose.io.gltf.accessors import Arrays
-from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.compression import DracoMesh, unpack_draco
 from keypose.io.gltf.document import Document, MeshItem, Primitive, SkinItem
+from keypose.io.normals import smooth_normals
+from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Mesh, MorphSet, Skin
 
 # Weights are left as they are while they sum to 1 within this much per influence (the Khronos validator's limit).
@@ -318,25 +318,6 @@ def target_names(item: MeshItem, notes: Notes) -> tuple[str, ...]:
         if names[-1] != name:
             notes.add(f"{item.where}: morph target '{name}' appears more than once; one became '{names[-1]}'")
     return tuple(names)
-
-
-def smooth_normals(positions: NDArray[np.float32], triangles: Ints) -> NDArray[np.float32]:
-    """Unit normals (V, 3): the mean of the adjoining triangles, weighted by area; +Y where there is none."""
-    a, b, c = (positions[triangles[:, i]].astype(np.float64) for i in range(3))
-    faces = np.cross(b - a, c - a)
-    sums = np.stack(
-        [
-            sum(np.bincount(triangles[:, corner], faces[:, axis], len(positions)) for corner in range(3))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    lengths = np.linalg.norm(sums, axis=1)
-    known = (lengths > 0) & np.isfinite(lengths)
-    normals = np.zeros((len(positions), 3))
-    normals[:, 1] = 1
-    normals[known] = sums[known] / lengths[known, None]
-    return normals.astype(np.float32)
 
 
 def _rgba(colors: NDArray[np.float32]) -> NDArray[np.float32]:

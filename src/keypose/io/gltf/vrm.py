@@ -19,13 +19,14 @@ from keypose.arrays import Floats
 from keypose.errors import FormatError
 from keypose.io.axes import turn_roots
 from keypose.io.gltf import vrm_zero
-from keypose.io.gltf.checking import Json, Notes
 from keypose.io.gltf.document import Document
 from keypose.io.gltf.hierarchy import Hierarchy
 from keypose.io.gltf.reader import read_with
 from keypose.io.gltf.surfaces import target_names
 from keypose.io.gltf.vrm_writer import PRESETS
 from keypose.io.gltf.vrm_writer import write as write
+from keypose.io.json_values import Json
+from keypose.io.notes import Notes
 from keypose.math import quat
 from keypose.model import (
     Channel,

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from keypose.errors import FormatError
-from keypose.io.gltf.checking import Notes, UniqueNames
 from keypose.io.gltf.humanoid import ROLES
 from keypose.io.gltf.out_animations import WrittenCharacter, clip_of
 from keypose.io.gltf.out_materials import plain_json
 from keypose.io.gltf.writer import write as write_gltf
 from keypose.io.gltf.writer import write_binary
+from keypose.io.notes import Notes, UniqueNames
 from keypose.model import (
     Channel,
     Character,

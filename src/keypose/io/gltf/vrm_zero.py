@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from keypose.io.gltf.checking import Json, Notes
+from keypose.io.json_values import Json
+from keypose.io.notes import Notes
 
 PRESETS = {
     "joy": "happy", "angry": "angry", "sorrow": "sad", "fun": "relaxed", "a": "aa", "i": "ih", "u": "ou", "e": "ee",

@@ -17,12 +17,12 @@ import keypose
 from keypose.errors import FormatError
 from keypose.io import atomic
 from keypose.io.gltf.buffers import Buffers
-from keypose.io.gltf.checking import Notes
 from keypose.io.gltf.container import BIN_CHUNK, JSON_CHUNK, MAGIC
 from keypose.io.gltf.hierarchy import CARRIER, END_SITE, OWN
 from keypose.io.gltf.out_animations import AnimationWriter, WrittenCharacter
 from keypose.io.gltf.out_materials import MaterialWriter, plain_json
 from keypose.io.gltf.out_surfaces import SurfaceWriter, common_root_missing, group_parts
+from keypose.io.notes import Notes
 from keypose.model import Character, Scene
 
 LARGEST_GLB = 2**32 - 1
