@@ -5,14 +5,26 @@ from types import MappingProxyType
 from typing import Any
 
 from keypose.model.character import Character, Part, Scene
-from keypose.model.curve import Channel, Clip, Curve, CurveKind, Extrapolation, Interpolation, Property
+from keypose.model.curve import (
+    EULER_ORDER,
+    Channel,
+    Clip,
+    Curve,
+    CurveKind,
+    Extrapolation,
+    Interpolation,
+    Property,
+    Tangent,
+)
 from keypose.model.labels import Tier
 from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
 from keypose.model.pose import Event, Motion, Pose
 from keypose.model.skeleton import Skeleton
+from keypose.model.timeline import Layer, LayerMode, Marker, Placement, Timeline
 
 __all__ = [
+    "EULER_ORDER",
     "Channel",
     "Character",
     "Clip",
@@ -23,19 +35,25 @@ __all__ = [
     "ForcePlate",
     "Image",
     "Interpolation",
+    "Layer",
+    "LayerMode",
+    "Marker",
     "Markers",
     "Material",
     "Mesh",
     "MorphSet",
     "Motion",
     "Part",
+    "Placement",
     "Pose",
     "Property",
     "Scene",
     "Signals",
     "Skeleton",
     "Skin",
+    "Tangent",
     "Tier",
+    "Timeline",
 ]
 
 

@@ -20,6 +20,25 @@ class Interpolation(IntEnum):
     STEP = 0
     LINEAR = 1  # of rotations: slerp, the short way
     HERMITE = 2  # glTF's CUBICSPLINE: values and tangents in units per second
+    BEZIER = 3  # handles in seconds and value, each component with its own
+    SQUAD = 4  # rotations only: Shoemake's quadrangle, inner controls from the neighbouring keys
+    SPHERICAL_BEZIER = 5  # rotations only: De Casteljau's construction on the sphere, controls from the neighbours
+    LOG_CUBIC = 6  # rotations only: cubic in the logarithm, angular velocity and acceleration continuous
+
+
+ROTATION_ONLY = (Interpolation.SQUAD, Interpolation.SPHERICAL_BEZIER, Interpolation.LOG_CUBIC)
+"""Interpolations that exist on the sphere alone; they need no tangents."""
+
+
+class Tangent(IntEnum):
+    """How one side of a key comes by its tangent or handle; editing keeps it up to date."""
+
+    FREE = 0  # as it was set
+    ALIGNED = 1  # as it was set, in one line with the other side
+    VECTOR = 2  # towards the neighbouring key
+    AUTO = 3  # Catmull-Rom over the key times
+    CLAMPED = 4  # as AUTO, but never beyond the neighbours (monotone)
+    FLAT = 5  # level: slow in, slow out
 
 
 class Extrapolation(Enum):
@@ -38,6 +57,9 @@ class CurveKind(Enum):
     SCALAR = "scalar"
     VECTOR = "vector"
     ROTATION = "rotation"  # unit quaternions, wxyz
+    EULER = "euler"  # three angles in radians; the clip names their order
+    COLOR = "color"  # linear RGB or RGBA
+    BOOLEAN = "boolean"  # 0 or 1, in steps
 
 
 class Property(Enum):
@@ -45,16 +67,35 @@ class Property(Enum):
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
+    EULER = "euler"  # a joint's rotation as three angles, in the order that the clip gives the joint
     SCALE = "scale"
     WEIGHT = "weight"  # of a morph target
+    VALUE = "value"  # anything else that has a name: a light's colour, whether something is shown
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What a curve drives: a joint's translation, rotation or scale, or a morph's weight, by name."""
+    """What a curve drives, by name: a joint's translation, rotation, Euler angles or scale, a morph's weight, a value.
+
+    ``component`` is None where the curve has all components, else the one that it drives alone (0 to 2).
+    """
 
     target: str
     property: Property
+    component: int | None = None
+
+    def __str__(self) -> str:
+        axis = "" if self.component is None else f".{'xyz'[self.component]}"
+        return f"{self.target}.{self.property.value}{axis}"
+
+
+_COMPONENTS = {
+    CurveKind.SCALAR: (1,),
+    CurveKind.ROTATION: (4,),
+    CurveKind.EULER: (3,),
+    CurveKind.COLOR: (3, 4),
+    CurveKind.BOOLEAN: (1,),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +107,9 @@ class Curve:
         values: (K, C); rotations are wxyz with C = 4, scalars have C = 1.
         modes: (K,) `Interpolation` of the span that starts at each key (one value is spread over all keys).
         in_tangents, out_tangents: (K, C) in units per second, or None; needed where a mode is HERMITE.
+        in_handles, out_handles: (K, C, 2) seconds and value from the key to its handle, or None; needed where a mode is
+            BEZIER. Seconds are <= 0 before and >= 0 after the key; a handle longer than its span counts as far as the span.
+        tangent_types: (K, 2) `Tangent` of the side before and after each key, or None where all are FREE.
 
     Raises:
         ShapeError: where shapes disagree, times do not increase or a needed tangent is missing.
@@ -76,6 +120,9 @@ class Curve:
     modes: Any = Interpolation.LINEAR
     in_tangents: Array | None = None
     out_tangents: Array | None = None
+    in_handles: Array | None = None
+    out_handles: Array | None = None
+    tangent_types: Any = None
     kind: CurveKind = CurveKind.VECTOR
     before: Extrapolation = Extrapolation.HOLD
     after: Extrapolation = Extrapolation.HOLD
@@ -93,25 +140,60 @@ class Curve:
             k = int(late[0])
             raise ShapeError(f"times_s: key {k + 1} at {times[k + 1]} s does not come after key {k} at {times[k]} s")
         values = checked(as_float(self.values), (count, "C"), "values", f"{count} key times")
-        width = {CurveKind.SCALAR: 1, CurveKind.ROTATION: 4}.get(self.kind)
-        if width is not None and values.shape[1] != width:
-            raise ShapeError(f"values: expected ({count}, {width}) for a {self.kind.value} curve, got {values.shape}")
+        widths = _COMPONENTS.get(self.kind)
+        if widths is not None and values.shape[1] not in widths:
+            asked = " or ".join(str(w) for w in widths)
+            raise ShapeError(f"values: expected ({count}, {asked}) for a {self.kind.value} curve, got {values.shape}")
         modes = np.broadcast_to(np.asarray(self.modes, np.uint8), (count,))
         object.__setattr__(self, "times_s", times)
         object.__setattr__(self, "values", frozen(values))
         object.__setattr__(self, "modes", frozen(modes))
-        for name in ("in_tangents", "out_tangents"):
-            tangents = getattr(self, name)
-            if tangents is not None:
-                tangents = checked(as_float(tangents), tuple(values.shape), name, "values")
-                object.__setattr__(self, name, frozen(tangents))
-            elif np.any(modes[: max(count - 1, 1)] == Interpolation.HERMITE):
-                raise ShapeError(f"{name}: a HERMITE curve needs tangents of shape {tuple(values.shape)}")
+        # The last key starts no span; its mode matters to a curve of one key only when a key is added.
+        used = modes[: max(count - 1, 1)]
+        self._check_modes(used)
+        self._keep_sides(("in_tangents", "out_tangents"), Interpolation.HERMITE, tuple(values.shape), used)
+        self._keep_sides(("in_handles", "out_handles"), Interpolation.BEZIER, (*values.shape, 2), used)
+        for name, sign in (("in_handles", -1), ("out_handles", 1)):
+            handles = getattr(self, name)
+            if handles is not None and np.any(sign * np.asarray(handles)[..., 0] < 0):
+                side = "at or before" if sign < 0 else "at or after"
+                raise ShapeError(f"{name}: expected seconds {side} the key, got the other side")
+        if self.tangent_types is not None:
+            types = np.asarray(self.tangent_types, np.uint8)
+            object.__setattr__(
+                self, "tangent_types", frozen(checked(types, (count, 2), "tangent_types", f"{count} keys"))
+            )
+
+    def _check_modes(self, used: Array) -> None:
+        if np.any(used > max(Interpolation)):
+            raise ShapeError(f"modes: expected Interpolation (0 to {int(max(Interpolation))}), got {int(used.max())}")
+        rotation = self.kind is CurveKind.ROTATION
+        for mode in ROTATION_ONLY if not rotation else (Interpolation.BEZIER,):
+            if np.any(used == mode):
+                raise ShapeError(f"modes: a {self.kind.value} curve cannot have {mode.name}")
+        if self.kind is CurveKind.BOOLEAN and np.any(used != Interpolation.STEP):
+            raise ShapeError("modes: a boolean curve goes in steps (STEP)")
+
+    def _keep_sides(self, names: tuple[str, str], mode: Interpolation, shape: tuple[int, ...], used: Array) -> None:
+        for name in names:
+            sides = getattr(self, name)
+            if sides is not None:
+                object.__setattr__(self, name, frozen(checked(as_float(sides), shape, name, "values")))
+            elif np.any(used == mode):
+                raise ShapeError(f"{name}: a {mode.name} curve needs {name} of shape {shape}")
 
     @property
     def key_count(self) -> int:
         """K."""
         return len(self.times_s)
+
+
+EULER_ORDER = "XYZ"
+"""The order of a joint's Euler angles where a clip names none."""
+
+
+def _no_orders() -> Mapping[str, str]:
+    return {}
 
 
 def _no_curves() -> Mapping[Channel, Curve]:
@@ -129,9 +211,12 @@ class Clip:
     curves: Mapping[Channel, Curve] = field(default_factory=_no_curves)
     name: str = ""
     rate_hz: float | None = None  # the rate it was authored at, if known
+    euler_orders: Mapping[str, str] = field(default_factory=_no_orders)
+    """Order of a joint's Euler angles as `keypose.math.euler` names it; `EULER_ORDER` where a joint is not named."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curves", MappingProxyType(dict(self.curves)))
+        object.__setattr__(self, "euler_orders", MappingProxyType(dict(self.euler_orders)))
 
     @property
     def start_s(self) -> float:
@@ -148,10 +233,9 @@ class Clip:
         """From the first key to the last."""
         return self.end_s - self.start_s
 
-    def curve(self, target: str, property: Property) -> Curve:
+    def curve(self, target: str, property: Property, component: int | None = None) -> Curve:
         """One curve; raises `UnknownName` with the nearest channel."""
-        channel = Channel(target, property)
+        channel = Channel(target, property, component)
         if channel not in self.curves:
-            known = [f"{c.target}.{c.property.value}" for c in self.curves]
-            raise UnknownName("channel", f"{target}.{property.value}", known)
+            raise UnknownName("channel", str(channel), [str(c) for c in self.curves])
         return self.curves[channel]
