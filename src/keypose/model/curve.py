@@ -120,12 +120,12 @@ class Curve:
     modes: Any = Interpolation.LINEAR
     in_tangents: Array | None = None
     out_tangents: Array | None = None
-    in_handles: Array | None = None
-    out_handles: Array | None = None
-    tangent_types: Any = None
     kind: CurveKind = CurveKind.VECTOR
     before: Extrapolation = Extrapolation.HOLD
     after: Extrapolation = Extrapolation.HOLD
+    in_handles: Array | None = None
+    out_handles: Array | None = None
+    tangent_types: Any = None
 
     def __post_init__(self) -> None:
         times = frozen(self.times_s, np.float64)
