@@ -86,17 +86,22 @@ export interface CharacterData {
 /** Keyframes of one property; the client evaluates them exactly as `keypose.evaluate.sample_curve` does. */
 export interface CurveData {
   target: string;
-  property: "translation" | "rotation" | "scale" | "weight";
+  property: "translation" | "rotation" | "euler" | "scale" | "weight" | "value";
+  component: number | null;
+  kind: "scalar" | "vector" | "rotation" | "euler" | "color" | "boolean";
   times: ArrayRef;
   values: ArrayRef;
   modes: ArrayRef;
   in_tangents: ArrayRef | null;
   out_tangents: ArrayRef | null;
+  in_handles: ArrayRef | null;
+  out_handles: ArrayRef | null;
+  types: ArrayRef | null;
   before: string;
   after: string;
 }
 
-/** Sparse animation: curves. */
+/** Sparse animation: curves, and the order of Euler angles of the joints that have another than `EULER_ORDER`. */
 export interface ClipData {
   kind: "clip";
   name: string;
@@ -104,6 +109,7 @@ export interface ClipData {
   duration_s: number;
   rate_hz: number | null;
   curves: CurveData[];
+  euler_orders: Record<string, string>;
 }
 
 /** Dense animation: arrays of T frames; an array that does not change is sent once, with one frame. */

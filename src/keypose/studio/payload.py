@@ -6,7 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from keypose.model import Character, Clip, Image, Material, MorphSet, Motion, Part, Scene, Skeleton, Skin
+from keypose.model import (
+    Channel,
+    Character,
+    Clip,
+    Curve,
+    Image,
+    Material,
+    MorphSet,
+    Motion,
+    Part,
+    Scene,
+    Skeleton,
+    Skin,
+)
 from keypose.studio import scene_messages as messages
 from keypose.studio.container import Body, pack
 
@@ -16,6 +29,33 @@ INFLUENCES = 4
 def encode(scene: Scene, *, id: str, name: str) -> bytes:
     """The container of a scene; arrays go to float32, curve times stay float64."""
     return _Encoder().scene(scene, id, name)
+
+
+def curve_data(body: Body, channel: Channel, curve: Curve) -> messages.CurveData:
+    """A curve, its arrays added to a body: every number as the curve holds it."""
+
+    def floats(array: Any) -> messages.ArrayRef:
+        return body.add(array, "float64" if array.dtype == np.float64 else "float32")
+
+    def optional(array: Any) -> messages.ArrayRef | None:
+        return None if array is None else floats(array)
+
+    return messages.CurveData(
+        target=channel.target,
+        property=channel.property.value,  # type: ignore[arg-type]
+        component=channel.component,
+        kind=curve.kind.value,  # type: ignore[arg-type]
+        times=body.add(curve.times_s, "float64"),
+        values=floats(curve.values),
+        modes=body.add(curve.modes, "uint8"),
+        in_tangents=optional(curve.in_tangents),
+        out_tangents=optional(curve.out_tangents),
+        in_handles=optional(curve.in_handles),
+        out_handles=optional(curve.out_handles),
+        types=None if curve.tangent_types is None else body.add(curve.tangent_types, "uint8"),
+        before=curve.before.value,
+        after=curve.after.value,
+    )
 
 
 class _Encoder:
@@ -145,32 +185,14 @@ class _Encoder:
         )
 
     def _clip(self, clip: Clip) -> messages.ClipData:
-        curves: list[messages.CurveData] = []
-        for channel, curve in clip.curves.items():
-            precision = "float64" if curve.values.dtype == np.float64 else "float32"
-            tangents = [
-                None if t is None else self.body.add(t, precision) for t in (curve.in_tangents, curve.out_tangents)
-            ]
-            curves.append(
-                messages.CurveData(
-                    target=channel.target,
-                    property=channel.property.value,  # type: ignore[arg-type]
-                    times=self.body.add(curve.times_s, "float64"),
-                    values=self.body.add(curve.values, precision),
-                    modes=self.body.add(curve.modes, "uint8"),
-                    in_tangents=tangents[0],
-                    out_tangents=tangents[1],
-                    before=curve.before.value,
-                    after=curve.after.value,
-                )
-            )
         return messages.ClipData(
             kind="clip",
             name=clip.name,
             start_s=clip.start_s,
             duration_s=clip.duration_s,
             rate_hz=clip.rate_hz,
-            curves=curves,
+            curves=[curve_data(self.body, channel, curve) for channel, curve in clip.curves.items()],
+            euler_orders=dict(clip.euler_orders),
         )
 
     def _motion(self, motion: Motion) -> messages.MotionData:

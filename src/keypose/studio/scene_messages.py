@@ -115,23 +115,29 @@ class CharacterData:
 class CurveData:
     """Keyframes of one property; the client evaluates them exactly as `keypose.evaluate.sample_curve` does.
 
-    Times (K,) float64, values and tangents (K, C) in the precision of the file, modes (K,).
+    Times (K,) float64, values and tangents (K, C) in the precision of the file, modes (K,), handles (K, C, 2) seconds and
+    value from the key, types (K, 2) of the side before and after each key.
     """
 
     target: str
-    property: Literal["translation", "rotation", "scale", "weight"]
+    property: Literal["translation", "rotation", "euler", "scale", "weight", "value"]
+    component: int | None
+    kind: Literal["scalar", "vector", "rotation", "euler", "color", "boolean"]
     times: ArrayRef
     values: ArrayRef
     modes: ArrayRef
     in_tangents: ArrayRef | None
     out_tangents: ArrayRef | None
+    in_handles: ArrayRef | None
+    out_handles: ArrayRef | None
+    types: ArrayRef | None
     before: str
     after: str
 
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """Sparse animation: curves."""
+    """Sparse animation: curves, and the order of Euler angles of the joints that have another than `EULER_ORDER`."""
 
     kind: Literal["clip"]
     name: str
@@ -139,6 +145,7 @@ class ClipData:
     duration_s: float
     rate_hz: float | None
     curves: list[CurveData]
+    euler_orders: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
