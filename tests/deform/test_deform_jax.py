@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from keypose import deform, evaluate
-from keypose.model import Channel, Clip, Curve, CurveKind, Pose, Property
+from keypose.model import Channel, Clip, Curve, CurveKind, Pose, Property, SkinningMethod
 from tests.synthetic import random_mesh, random_pose, random_rotations, random_skeleton, random_skin
 
 pytestmark = pytest.mark.slow
@@ -29,7 +29,7 @@ def test_poses_and_vertices_agree_with_numpy(rng: np.random.Generator) -> None:
         layered = evaluate.add(pose, evaluate.difference(other, pose))
         model_from_joint = evaluate.world(skeleton, mixed)
         rotations, positions = evaluate.world_rotations_positions(skeleton, layered)
-        moved = [deform.skin(mesh, binding, model_from_joint, method) for method in deform.METHODS]
+        moved = [deform.skin(mesh, binding, model_from_joint, method) for method in SkinningMethod]
         return [model_from_joint, rotations, positions, *moved]
 
     poses = [random_pose(rng, (), 4, scaled=True) for _ in range(2)]

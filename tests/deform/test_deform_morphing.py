@@ -12,7 +12,7 @@ from keypose import deform
 from keypose.errors import ShapeError
 from keypose.evaluate import world
 from keypose.math import rigid
-from keypose.model import Character, Mesh, MorphSet, Part, Skin
+from keypose.model import Character, Mesh, MorphSet, Part, Skin, SkinningMethod
 from tests.synthetic import random_mesh, random_pose, random_skeleton, random_skin
 
 
@@ -207,7 +207,7 @@ def character(rng: np.random.Generator) -> Character:
     return Character(skeleton, parts, morph_names=names, rest_morph_weights=[0.1, 0.2, 0.3, 0.4])
 
 
-@pytest.mark.parametrize("method", deform.METHODS)
+@pytest.mark.parametrize("method", tuple(SkinningMethod))
 def test_a_part_is_morphed_first_and_then_skinned(
     rng: np.random.Generator, character: Character, method: deform.Method
 ) -> None:

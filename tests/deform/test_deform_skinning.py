@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,11 @@ from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import compiled as evaluate_compiled
 from keypose.evaluate import world
 from keypose.math import dualquat, quat, rigid
-from keypose.model import Mesh, Pose, Skeleton, Skin
+from keypose.model import Character, Mesh, Part, Pose, Skeleton, Skin, SkinningMethod
 from tests.conftest import data_files
 from tests.synthetic import as_type, random_mesh, random_pose, random_rotations, random_skeleton, random_skin
 
-METHODS = deform.METHODS
+METHODS = tuple(SkinningMethod)
 
 
 @pytest.fixture
@@ -173,6 +174,25 @@ def test_dual_quaternion_skinning_is_the_blend_of_dual_quaternions(rng: np.rando
     expected = dualquat.transform_points(dualquat.blend(motions, binding.weights), mesh.positions)
     moved, _ = deform.skin_points(mesh.positions, None, binding, matrices, "dual_quaternion")
     assert_allclose(moved, expected, atol=1e-12)
+
+
+def test_a_skin_is_skinned_by_its_own_method_unless_another_is_asked_for(rng: np.random.Generator) -> None:
+    skeleton, mesh = random_skeleton(rng, 9), random_mesh(rng, 50)
+    linear = random_skin(rng, skeleton, 50, 4)
+    dual = replace(linear, method=SkinningMethod.DUAL_QUATERNION)
+    assert linear.method is SkinningMethod.LINEAR
+    assert replace(linear, method="dual_quaternion").method is SkinningMethod.DUAL_QUATERNION
+    at = world(skeleton, random_pose(rng, (2,), 9))
+    by_method = {m: deform.skin(mesh, linear, at, m) for m in SkinningMethod}
+    assert np.abs(by_method[SkinningMethod.LINEAR] - by_method[SkinningMethod.DUAL_QUATERNION]).max() > 1e-3
+    for skin in (linear, dual):
+        character = Character(skeleton, (Part("a", mesh, skin=skin),))
+        assert_allclose(deform.skin(mesh, skin, at), by_method[skin.method], atol=1e-12)
+        assert_allclose(deform.deform_part(character, character.parts[0], at), by_method[skin.method], atol=1e-12)
+        assert_allclose(deform.deform_character(character, at, method="linear")[0], by_method["linear"], atol=1e-12)
+        assert deform.pack(skin, influences=2)[0].method is skin.method
+    with pytest.raises(UnknownName, match="no skinning method 'dual'; known: 'linear', 'dual_quaternion'"):
+        replace(linear, method="dual")
 
 
 def test_the_dual_quaternion_blend_of_two_joints_is_a_rigid_motion(rng: np.random.Generator) -> None:

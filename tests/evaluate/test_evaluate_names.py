@@ -17,7 +17,7 @@ def test_the_public_names() -> None:
         "snap_to_keys", "to_clip", "unmatched", "world", "world_rotations_positions",
     ]  # fmt: skip
     assert sorted(deform.__all__) == [
-        "METHODS", "Method", "PackReport", "SurfaceError", "deform_character", "deform_part", "morph", "morph_absolute",
+        "PackReport", "SurfaceError", "deform_character", "deform_part", "morph", "morph_absolute",
         "morphs_from_shapes", "nearest_kept", "pack", "rebind", "simplify", "skin", "skin_matrices", "skin_points",
         "surface_error", "transform_normals",
     ]  # fmt: skip

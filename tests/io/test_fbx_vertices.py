@@ -13,7 +13,7 @@ from keypose.deform import deform_part
 from keypose.evaluate import sample, sample_morphs, world
 from keypose.io.fbx import read
 from keypose.io.fbx.surfaces import DQ_ATTRIBUTE
-from keypose.model import Scene
+from keypose.model import Scene, SkinningMethod
 from tests.io.fbx_files import reference
 
 pytestmark = pytest.mark.data
@@ -57,7 +57,7 @@ def vertices(scene: Scene, take: str | None, frame: int, transform_skin: bool) -
         points = deform_part(character, part, model_from_joint, weights)
         amount = part.mesh.attributes.get(DQ_ATTRIBUTE)
         if amount is not None:
-            curved = deform_part(character, part, model_from_joint, weights, method="dual_quaternion")
+            curved = deform_part(character, part, model_from_joint, weights, method=SkinningMethod.DUAL_QUATERNION)
             points = points * (1 - amount) + curved * amount
         if transform_skin and part.skin is not None:
             # Maya also moves a skinned mesh by what its own node does after it was bound; others, as we, do not.

@@ -35,6 +35,7 @@ from keypose.model import (
     Scene,
     Skeleton,
     Skin,
+    SkinningMethod,
 )
 from keypose.samples import load as load_sample
 from tests.conftest import ROOT, data_files
@@ -115,6 +116,22 @@ def test_a_character_comes_back(seed: int, tmp_path: Path) -> None:
     assert image is not None and (image.name, image.mime_type, image.data) == ("skin.png", "image/png", PNG)
     assert back.parts[1].material.roughness == pytest.approx(0.3)
     assert back.parts[1].joint == back.parts[2].joint == 3  # the second hat hangs on a carrier, which is no joint
+
+
+def test_the_skinning_method_comes_back(tmp_path: Path) -> None:
+    character = small_character(np.random.default_rng(0))
+    body = character.parts[0]
+    assert body.skin is not None
+    for method in SkinningMethod:
+        skinned = replace(body, skin=replace(body.skin, method=method))
+        keypose.io.save(replace(character, parts=(skinned,)), tmp_path / "a.fbx")
+        scene = keypose.io.load(tmp_path / "a.fbx")
+        skin = scene.character.parts[0].skin
+        assert skin is not None and skin.method is method
+        assert not any("skinning" in note for note in scene.notes)
+    for suffix in (".glb", ".dae"):  # hold no method
+        notes = keypose.io.save(replace(character, parts=(skinned,)), tmp_path / f"a{suffix}")
+        assert any("dual quaternions" in note for note in notes)
 
 
 def test_motions_come_back_at_their_rate(tmp_path: Path) -> None:

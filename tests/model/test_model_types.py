@@ -44,7 +44,7 @@ def test_the_public_names() -> None:
     assert sorted(model.__all__) == [
         "Channel", "Character", "Clip", "Curve", "CurveKind", "EULER_ORDER", "Event", "Extrapolation", "ForcePlate", "Image",
         "Interpolation", "Layer", "LayerMode", "Marker", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Placement", "Pose", "Property", "Scene", "Signals", "Skeleton",
-        "Skin", "Tangent", "Tier", "Timeline",
+        "Skin", "SkinningMethod", "Tangent", "Tier", "Timeline",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 

@@ -1,10 +1,12 @@
 """The shader's skinning equals `keypose.deform`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from keypose import deform, io, samples
-from keypose.model import Character, Part, Pose, Scene, Skeleton
+from keypose.model import Character, Part, Pose, Scene, Skeleton, SkinningMethod
 from keypose.render import RenderSettings
 from keypose.render.stage import Stage
 from keypose.render.surfaces import surfaces
@@ -45,6 +47,15 @@ def worst(scene, animation=None, moments=4):
 def test_any_number_of_influences_up_to_eight(influences):
     character = arm(influences)
     position, normal = worst(Scene((character,), (wave(character),)))
+    assert position < 1e-5
+    assert normal < 1e-4
+
+
+def test_dual_quaternions():
+    character = arm(4)
+    part = character.parts[0]
+    dual = replace(part, skin=replace(part.skin, method=SkinningMethod.DUAL_QUATERNION))
+    position, normal = worst(Scene((replace(character, parts=(dual,)),), (wave(character),)))
     assert position < 1e-5
     assert normal < 1e-4
 

@@ -5,11 +5,9 @@ from keypose.deform.packing import PackReport, pack
 from keypose.deform.parts import deform_character, deform_part
 from keypose.deform.rebinding import nearest_kept, rebind
 from keypose.deform.simplify import SurfaceError, simplify, surface_error
-from keypose.deform.skinning import METHODS, Method, skin, skin_matrices, skin_points, transform_normals
+from keypose.deform.skinning import skin, skin_matrices, skin_points, transform_normals
 
 __all__ = [
-    "METHODS",
-    "Method",
     "PackReport",
     "SurfaceError",
     "deform_character",

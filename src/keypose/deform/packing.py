@@ -71,7 +71,7 @@ def pack(
     factor = np.where(changed, totals / np.where(sums > 0, sums, 1.0), 1.0)
     kept = (kept * factor[:, None]).astype(weights.dtype)
     kept_joints[kept == 0] = 0
-    packed = Skin(binding.palette, binding.joint_from_mesh, kept_joints, kept)
+    packed = Skin(binding.palette, binding.joint_from_mesh, kept_joints, kept, binding.method)
     displacement = None
     if mesh is not None and model_from_joint is not None:
         moved = skin_mesh(mesh, packed, model_from_joint) - skin_mesh(mesh, binding, model_from_joint)

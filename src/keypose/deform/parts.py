@@ -6,10 +6,10 @@ from typing import Any
 
 from keypose.arrays import Array, as_float, checked, gather, unified
 from keypose.deform.morphing import morph
-from keypose.deform.skinning import Method, skin_matrices, skin_points, transform_normals
+from keypose.deform.skinning import skin_matrices, skin_points, transform_normals
 from keypose.errors import ShapeError
 from keypose.math import rigid
-from keypose.model import Character, Part
+from keypose.model import Character, Part, SkinningMethod
 
 
 def deform_part(
@@ -18,7 +18,7 @@ def deform_part(
     model_from_joint: Array,
     morph_weights: Array | None = None,
     with_normals: bool = False,
-    method: Method = "linear",
+    method: SkinningMethod | str | None = None,
 ) -> Any:
     """One part of a character in the model's space: morphed, then skinned or carried by its joint.
 
@@ -57,7 +57,7 @@ def deform_character(
     model_from_joint: Array,
     morph_weights: Array | None = None,
     with_normals: bool = False,
-    method: Method = "linear",
+    method: SkinningMethod | str | None = None,
 ) -> list[Any]:
     """All parts of a character in the model's space, in their order; each as `deform_part` returns it."""
     return [

@@ -85,4 +85,5 @@ def rebind(
         binds.astype(binding.joint_from_mesh.dtype),
         np.where(kept_weights > 0, order, 0).astype(np.int32),
         kept_weights,
+        binding.method,
     )

@@ -5,7 +5,7 @@ Everything is array-API generic and differentiable.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,7 @@ from keypose.arrays import Array, Ints, checked, gather, namespace, unified
 from keypose.deform.compiled import skin_compiled
 from keypose.errors import ShapeError, UnknownName
 from keypose.math import dualquat, quat, rigid
-from keypose.model import Mesh, Skin
-
-Method = Literal["linear", "dual_quaternion"]
-METHODS: tuple[Method, ...] = ("linear", "dual_quaternion")
+from keypose.model import Mesh, Skin, SkinningMethod
 
 
 def skin_matrices(binding: Skin, model_from_joint: Array) -> Array:
@@ -40,7 +37,11 @@ def skin_matrices(binding: Skin, model_from_joint: Array) -> Array:
 
 
 def skin(
-    mesh: Mesh, binding: Skin, model_from_joint: Array, method: Method = "linear", with_normals: bool = False
+    mesh: Mesh,
+    binding: Skin,
+    model_from_joint: Array,
+    method: SkinningMethod | str | None = None,
+    with_normals: bool = False,
 ) -> Any:
     """The mesh's vertices moved by the skeleton.
 
@@ -57,12 +58,16 @@ def skin(
 
 
 def skin_points(
-    positions: Array, normals: Array | None, binding: Skin, matrices: Array, method: Method = "linear"
+    positions: Array,
+    normals: Array | None,
+    binding: Skin,
+    matrices: Array,
+    method: SkinningMethod | str | None = None,
 ) -> tuple[Array, Array | None]:
     """Points and normals of any batch moved by palette matrices.
 
     Shapes and units: ``positions`` and ``normals`` (*B, V, 3), for example morphed ones; ``matrices`` (*B, P, 4, 4) of
-    `skin_matrices`. Returns both as (*B, V, 3).
+    `skin_matrices`. Returns both as (*B, V, 3). ``method`` is the skin's own if not given.
 
     "linear" is the weighted sum of the matrices. "dual_quaternion" keeps volume in twists: what scales and shears is
     applied first, as a linear blend in the mesh's space, and the rigid rest is blended as dual quaternions on the side
@@ -77,15 +82,16 @@ def skin_points(
     Quaternions, I3D 2007 (section 4), and Geometric Skinning with Approximate Dual Quaternion Blending, TOG 2008
     (two-phase skinning of scale).
     """
-    if method not in METHODS:
-        raise UnknownName("skinning method", method, METHODS)
+    method = binding.method if method is None else method
+    if method not in tuple(SkinningMethod):
+        raise UnknownName("skinning method", method, SkinningMethod)
     if not binding.influence_count:
         raise ShapeError("skin: expected at least one influence per vertex, got 0")
     if normals is None:
         positions, matrices, weights = unified(positions, matrices, binding.weights)
     else:
         positions, matrices, weights, normals = unified(positions, matrices, binding.weights, normals)
-    if method == "linear":
+    if method == SkinningMethod.LINEAR:
         return _linear(positions, normals, binding, weights, matrices)
     return _dual_quaternion(positions, normals, binding, weights, matrices)
 

@@ -32,6 +32,7 @@ from keypose.model import (
     Part,
     Property,
     Scene,
+    SkinningMethod,
 )
 
 _DEFAULT_RATE_HZ = 30.0
@@ -238,6 +239,8 @@ class _Writer:
         skin = part.skin
         if skin is None:
             raise FormatError(f"part '{part.name}' has no skin")
+        if skin.method is not SkinningMethod.LINEAR:
+            self.notes.append(f"part '{part.name}': its skin asks for dual quaternions; COLLADA has linear skins only")
         weights, joints = np.asarray(skin.weights, np.float64), np.asarray(skin.joints)
         used = weights > 0
         counts = used.sum(axis=1)

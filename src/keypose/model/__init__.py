@@ -18,7 +18,7 @@ from keypose.model.curve import (
 )
 from keypose.model.labels import Tier
 from keypose.model.markers import ForcePlate, Markers, Signals
-from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin
+from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin, SkinningMethod
 from keypose.model.pose import Event, Motion, Pose
 from keypose.model.skeleton import Skeleton
 from keypose.model.timeline import Layer, LayerMode, Marker, Placement, Timeline
@@ -51,6 +51,7 @@ __all__ = [
     "Signals",
     "Skeleton",
     "Skin",
+    "SkinningMethod",
     "Tangent",
     "Tier",
     "Timeline",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
 
@@ -96,6 +97,13 @@ class Mesh:
         return len(self.positions)
 
 
+class SkinningMethod(StrEnum):
+    """How the joints that hold a vertex are blended."""
+
+    LINEAR = "linear"  # the weighted sum of their matrices
+    DUAL_QUATERNION = "dual_quaternion"  # keeps volume in twists
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
     """The binding of V vertices to the P joints of a palette, K influences per vertex.
@@ -105,19 +113,25 @@ class Skin:
         joint_from_mesh: (P, 4, 4) inverse bind matrices.
         joints: (V, K) int32 indices into the palette.
         weights: (V, K), each row sums to 1; unused influences have weight 0.
+        method: how they are blended (see `keypose.deform.skin`).
 
     ``palette_matrices = model_from_joint[palette] @ joint_from_mesh`` (see `keypose.deform.skin_matrices`).
 
     Raises:
         ShapeError: where shapes disagree, an index is out of range, or a weight is negative or not finite.
+        UnknownName: for a method that is none.
     """
 
     palette: Ints
     joint_from_mesh: Array
     joints: Ints
     weights: Array
+    method: SkinningMethod = SkinningMethod.LINEAR
 
     def __post_init__(self) -> None:
+        if self.method not in tuple(SkinningMethod):
+            raise UnknownName("skinning method", self.method, SkinningMethod)
+        object.__setattr__(self, "method", SkinningMethod(self.method))
         palette = frozen(self.palette, np.int32)
         checked(palette, ("P",), "palette")
         matrices = checked(as_float(self.joint_from_mesh), (len(palette), 4, 4), "joint_from_mesh", "the palette")

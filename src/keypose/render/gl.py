@@ -18,6 +18,7 @@ import numpy as np
 from keypose import deform
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError
+from keypose.model import SkinningMethod
 from keypose.render.camera import SHADOW_SIZE, View
 from keypose.render.frame import pack_frame
 from keypose.render.settings import Picture, RenderSettings
@@ -151,6 +152,17 @@ class _Mesh:
         self.weights = weights
 
 
+def _deformed(surface: Surface, moment: Moment) -> Floats:
+    """World positions and normals (V, 6) of a part that the shader cannot skin."""
+    part, rows = surface.part, np.zeros((surface.part.mesh.vertex_count, 6), np.float32)
+    matrices, weights = moment.matrices[surface.drawn], moment.morph_weights[surface.drawn]
+    if part.mesh.normals is None:
+        rows[:, :3] = deform.deform_part(surface.character, part, matrices, weights)
+    else:
+        rows[:, :3], rows[:, 3:] = deform.deform_part(surface.character, part, matrices, weights, with_normals=True)
+    return rows
+
+
 def _texture(pixels: Picture) -> Any:
     ctx = context()
     height, width = pixels.shape[:2]
@@ -276,6 +288,10 @@ class GlRenderer:
         self.resolved.use()  # without a screen there is no default target, and nothing runs without a target
         self.palette.use(0)
         for mesh in self.meshes:
+            skin = mesh.surface.part.skin
+            if skin is not None and skin.method is not SkinningMethod.LINEAR:
+                mesh.skinned.write(_deformed(mesh.surface, moment))
+                continue
             mesh.skin_program["palette"], mesh.skin_program["first"] = 0, mesh.first
             mesh.skin.transform(mesh.skinned, self.ctx.POINTS, mesh.count)
 

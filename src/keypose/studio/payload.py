@@ -19,6 +19,7 @@ from keypose.model import (
     Scene,
     Skeleton,
     Skin,
+    SkinningMethod,
 )
 from keypose.studio import scene_messages as messages
 from keypose.studio.container import Body, pack
@@ -152,6 +153,8 @@ class _Encoder:
     def _skin(self, skin: Skin, part_name: str) -> messages.SkinData:
         if id(skin) not in self._skins:
             packed = self._packed(skin, part_name)
+            if skin.method is not SkinningMethod.LINEAR:
+                self.notes.append(f"view of '{part_name}': its skin asks for dual quaternions; it is shown linearly")
             self._skins[id(skin)] = messages.SkinData(
                 palette=self.body.add(packed.palette, "int32"),
                 joint_from_mesh=self._floats(packed.joint_from_mesh),

@@ -14,7 +14,7 @@ from keypose.io.fbx.out_materials import MaterialWriter
 from keypose.io.fbx.out_nodes import MESH, Model, Objects, add_model, matrix_values, number, place_of, transform_rows
 from keypose.io.fbx.surfaces import DQ_ATTRIBUTE
 from keypose.io.notes import Notes
-from keypose.model import Character, Part, Skin
+from keypose.model import Character, Part, Skin, SkinningMethod
 
 KEPT_ATTRIBUTES = ("TEXCOORD_", DQ_ATTRIBUTE)
 
@@ -45,7 +45,7 @@ def group_parts(character: Character, notes: Notes) -> list[Group]:
         place = place_of(part.extras)
         joint = part.joint if part.skin is None else known.get(place or "")
         skin = part.skin
-        skin_key = None if skin is None else (skin.palette.tobytes(), np.asarray(skin.joint_from_mesh).tobytes())
+        skin_key = skin and (skin.palette.tobytes(), np.asarray(skin.joint_from_mesh).tobytes(), skin.method)
         channels = None if part.morph_channels is None else part.morph_channels.tobytes()
         uvs = sum(name.startswith("TEXCOORD_") for name in part.mesh.attributes)
         layers = (part.mesh.normals is None, part.mesh.uvs is None, part.mesh.colors is None, uvs)
@@ -155,11 +155,12 @@ class SurfaceWriter:
                 for p, a in zip(parts, amount, strict=True)
             ]
             blend = np.concatenate(filled)
-            item.add("SkinningType", "DualQuaternion" if np.all(blend == 1) else "Blend")
+            item.add("SkinningType", "Blend")
             item.add("Indexes", np.arange(len(blend), dtype=np.int32))
             item.add("BlendWeights", blend)
         else:
-            item.add("SkinningType", "Linear")
+            dual = skin.method is SkinningMethod.DUAL_QUATERNION
+            item.add("SkinningType", "DualQuaternion" if dual else "Linear")
         vertex, influence, weight = _influences(parts)
         order = np.argsort(influence, kind="stable")
         bounds = np.searchsorted(influence[order], np.arange(len(skin.palette) + 1))

@@ -174,7 +174,7 @@ class _Parts:
             parts.append(
                 Part(
                     name=names[index],
-                    mesh=_with_method(_moved(surface.mesh, geometry), surface, binding),
+                    mesh=_with_mixture(_moved(surface.mesh, geometry), surface, binding),
                     material=self._material(item, mesh, surface.slot),
                     skin=None if binding is None else binding.of(surface.control_points),
                     joint=carrier if binding is None else None,
@@ -208,7 +208,7 @@ def _moved(mesh: Mesh, geometry: Any) -> Mesh:
     return Mesh(positions, triangles, normals, mesh.uvs, mesh.colors, mesh.attributes)
 
 
-def _with_method(mesh: Mesh, surface: Surface, binding: Binding | None) -> Mesh:
+def _with_mixture(mesh: Mesh, surface: Surface, binding: Binding | None) -> Mesh:
     if binding is None or binding.dual_quaternion is None:
         return mesh
     amount = np.asarray(binding.dual_quaternion, np.float32)[surface.control_points, None]

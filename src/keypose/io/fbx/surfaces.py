@@ -16,7 +16,7 @@ from keypose.io.fbx.polygons import triangulate
 from keypose.io.fbx.process import Record, sane
 from keypose.io.normals import smooth_normals
 from keypose.io.notes import Notes
-from keypose.model import Mesh, Skin
+from keypose.model import Mesh, Skin, SkinningMethod
 
 LINEAR, RIGID, DUAL_QUATERNION, BLENDED = range(4)
 DQ_ATTRIBUTE = "_DUAL_QUATERNION"
@@ -196,13 +196,15 @@ class Binding:
     joint_from_mesh: Floats
     joints: Ints  # (control points, K)
     weights: Floats
-    dual_quaternion: Floats | None  # (control points,) how much of each vertex is blended by dual quaternions
+    method: SkinningMethod
+    dual_quaternion: Floats | None  # (control points,) where FBX mixes both methods: how much dual quaternions count
 
     def of(self, control_points: Ints) -> Skin:
         """The skin of some vertices, with as many influences as they need."""
         joints, weights = self.joints[control_points], self.weights[control_points]
         width = max(int(np.max(np.nonzero(weights.any(axis=0))[0], initial=0)) + 1, 1)
-        return Skin(self.palette, self.joint_from_mesh.astype(np.float32), joints[:, :width], weights[:, :width])
+        matrices = self.joint_from_mesh.astype(np.float32)
+        return Skin(self.palette, matrices, joints[:, :width], weights[:, :width], self.method)
 
 
 def bind(
@@ -270,7 +272,8 @@ def bind(
         np.stack(matrices),
         joints,
         weights,
-        _dual_quaternion(record, item, count, notes, where),
+        SkinningMethod.DUAL_QUATERNION if int(item["method"]) == DUAL_QUATERNION else SkinningMethod.LINEAR,
+        _mixture(record, item, count, notes, where),
     )
 
 
@@ -291,15 +294,16 @@ def _strongest_first(vertex: Ints, influence: Ints, weight: Floats, count: int) 
     return joints, (weights / np.where(sums > 0, sums, 1.0)).astype(np.float32)
 
 
-def _dual_quaternion(record: Record, item: Mapping[str, Any], count: int, notes: Notes, where: str) -> Floats | None:
-    method = int(item["method"])
-    if method in (LINEAR, RIGID):
+def _mixture(record: Record, item: Mapping[str, Any], count: int, notes: Notes, where: str) -> Floats | None:
+    """How much dual quaternions count at each control point, where a skin mixes both methods."""
+    if int(item["method"]) != BLENDED:
         return None
-    amount = np.full(count, 1.0 if method == DUAL_QUATERNION else 0.0, np.float32)
-    if method == BLENDED:
-        vertices, weights = record.array(item["dq_vertices"]), record.array(item["dq_weights"])
-        fits = vertices[: len(weights)] < count
-        amount[vertices[: len(weights)][fits]] = np.nan_to_num(np.clip(weights[: len(vertices)][fits], 0, 1))
-    kind = "dual quaternions" if method == DUAL_QUATERNION else "a blend of dual quaternions and matrices"
-    notes.add(f"{where}: it asks for skinning by {kind}; the vertex attribute {DQ_ATTRIBUTE} says how much")
+    amount = np.zeros(count, np.float32)
+    vertices, weights = record.array(item["dq_vertices"]), record.array(item["dq_weights"])
+    fits = vertices[: len(weights)] < count
+    amount[vertices[: len(weights)][fits]] = np.nan_to_num(np.clip(weights[: len(vertices)][fits], 0, 1))
+    notes.add(
+        f"{where}: it mixes skinning by dual quaternions and by matrices and is shown by matrices; "
+        f"the vertex attribute {DQ_ATTRIBUTE} says how much of each was meant"
+    )
     return amount

@@ -19,7 +19,7 @@ from keypose.io.gltf.out_materials import MaterialWriter, plain_json
 from keypose.io.gltf.surfaces import WEIGHT_TOLERANCE
 from keypose.io.normals import smooth_normals
 from keypose.io.notes import Notes
-from keypose.model import Character, Mesh, Part, Skin
+from keypose.model import Character, Mesh, Part, Skin, SkinningMethod
 
 # How far normals and tangents may be from unit length before they are scaled; the Khronos validator allows 6.7e-3.
 UNIT_TOLERANCE = 6e-3
@@ -209,6 +209,8 @@ class SurfaceWriter:
         return np.where(off[:, None], scaled, normals).astype(np.float32)
 
     def _influences(self, part: Part, skin: Skin) -> dict[str, int]:
+        if skin.method is not SkinningMethod.LINEAR:
+            self._notes.add(f"part '{part.name}': its skin asks for dual quaternions; glTF has linear skins only")
         joints, weights = self._merged(np.asarray(skin.joints), _float32(skin.weights), part.name)
         sets = max(-(-joints.shape[1] // 4), 1)
         padding = ((0, 0), (0, sets * 4 - joints.shape[1]))
