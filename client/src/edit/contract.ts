@@ -162,4 +162,20 @@ export interface Editor {
   operate(name: string, parameters: Record<string, unknown>): Promise<void>;
   undo(): void;
   redo(): void;
+  /** Local values set by hand and not keyed yet, by channel key: shown over the animation until time moves or they are keyed. */
+  readonly posed: ReadonlyMap<string, readonly number[]>;
+  /**
+   * Set local values of joints (whole translation, rotation wxyz or scale) by hand. With auto-key they are keyed at the
+   * current time when `done`; without, they stay until time moves. While dragging, `done` is false.
+   */
+  pose(values: ReadonlyMap<string, readonly number[]>, label: string, done: boolean): void;
+  /** Key what the joints show now, at the current time, on the active clip. */
+  insertKeys(joints: readonly number[], properties: readonly Property[]): void;
+  /** Say something to the user. */
+  toast(kind: "error" | "info", title: string, message: string): void;
+}
+
+/** The channel of a joint's or morph's property; the text of `ChannelId.key`. */
+export function channelOf(target: string, property: Property, component: number | null = null): ChannelId {
+  return { key: `${target}\u0000${property}\u0000${component ?? ""}`, target, property, component };
 }
