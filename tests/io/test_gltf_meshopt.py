@@ -14,7 +14,7 @@ import pytest
 
 from keypose.errors import FormatError
 from keypose.io.gltf import read
-from keypose.io.gltf.document import Compressed
+from keypose.io.gltf.items import Compressed
 from keypose.io.gltf.meshopt import unpack_meshopt
 from tests.conftest import data_files
 from tests.io.gltf_files import GltfFile

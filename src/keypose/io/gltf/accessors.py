@@ -5,6 +5,7 @@ Source: glTF 2.0 Specification, sections 3.6.1 (buffers and views) and 3.6.2 (ac
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,15 @@ from numpy.typing import NDArray
 from keypose.errors import FormatError
 from keypose.io.gltf import compression
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
-from keypose.io.gltf.document import WIDTHS, Accessor, BufferView, Document
+from keypose.io.gltf.items import COMPONENTS, WIDTHS, Accessor, BufferView, Document
 from keypose.io.notes import Notes
 
 # How much may be decoded from one file: views may overlap and accessors may have no bytes at all, so that a small
 # file can ask for any amount of memory.
 BUDGET_BASE = 128 << 20
 BUDGET_PER_BYTE = 8
+_DTYPES = {name: np.dtype(name) for name in COMPONENTS.values()}
+XYZW_TO_WXYZ = [3, 0, 1, 2]
 PER_ITEM = 2048  # what a part, a morph channel or a curve takes at least: few bytes can ask for many of them
 
 
@@ -100,24 +103,31 @@ class Arrays:
 
     def array(self, index: int) -> NDArray[Any]:
         """The elements (count, width) of an accessor in their own type, matrices (count, 4 or 9 or 16) column by column."""
-        if index not in self._arrays:
+        array = self._arrays.get(index)
+        if array is None:
             item = self._document.accessors[index]
             array = self._plain(item)
             if item.sparse is not None:
                 array = self._replaced(array, item)
-            if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
-                element = int(np.nonzero(~np.isfinite(array))[0][0])
-                raise FormatError(f"element {element} is not a finite number", where=item.where)
-            array.setflags(write=False)
+            if item.component == "<f4":
+                self._check(array, item)
+            array.flags.writeable = False
             self._arrays[index] = array
-        return self._arrays[index]
+        return array
+
+    @staticmethod
+    def _check(array: NDArray[Any], item: Accessor) -> None:
+        flat = array.reshape(-1)
+        # A sum of squares that is finite has finite terms, and takes one quick pass without memory.
+        if not math.isfinite(np.dot(flat, flat)) and not np.isfinite(flat).all():
+            element = int(np.nonzero(~np.isfinite(array))[0][0])
+            raise FormatError(f"element {element} is not a finite number", where=item.where)
 
     def _plain(self, item: Accessor) -> NDArray[Any]:
-        width, component = WIDTHS[item.kind], np.dtype(item.component)
+        width, component = WIDTHS[item.kind], _DTYPES[item.component]
         native = component.newbyteorder("=")
-        size = item.count * width * component.itemsize
         if item.view is None:
-            self.take(size, item.where)
+            self.take(item.count * width * component.itemsize, item.where)
             return np.zeros((item.count, width), native)
         view = self._document.views[item.view]
         return self._elements(item.view, item.offset, view.stride, item.count, item.kind, component, item.where)
@@ -125,6 +135,16 @@ class Arrays:
     def _elements(
         self, view: int, offset: int, stride: int | None, count: int, kind: str, component: np.dtype[Any], where: str
     ) -> NDArray[Any]:
+        strided = self._in_place(view, offset, stride, count, kind, component, where)
+        # The result owns its memory, so that what is built of it need not copy it once more.
+        owned = np.empty((count, WIDTHS[kind]), component.newbyteorder("="))
+        owned.reshape(strided.shape)[:] = strided
+        return owned
+
+    def _in_place(
+        self, view: int, offset: int, stride: int | None, count: int, kind: str, component: np.dtype[Any], where: str
+    ) -> NDArray[Any]:
+        """The elements where they lie in the file, (count, width), or (count, columns, rows) of matrices."""
         data = self.view(view)
         width, bytes_each = WIDTHS[kind], component.itemsize
         rows = {"MAT2": 2, "MAT3": 3, "MAT4": 4}.get(kind)
@@ -143,11 +163,8 @@ class Arrays:
             )
         self.take(count * width * max(bytes_each, 4), where)
         if rows is None or column is None:
-            strided = np.ndarray((count, width), component, data, offset, (stride, bytes_each))
-        else:
-            shape, strides = (count, rows, rows), (stride, column, bytes_each)
-            strided = np.ndarray(shape, component, data, offset, strides)
-        return strided.astype(component.newbyteorder("="), order="C", copy=True).reshape(count, width)
+            return np.ndarray((count, width), component, data, offset, (stride, bytes_each))
+        return np.ndarray((count, rows, rows), component, data, offset, (stride, column, bytes_each))
 
     def _replaced(self, array: NDArray[Any], item: Accessor) -> NDArray[Any]:
         sparse = item.sparse
@@ -178,13 +195,27 @@ class Arrays:
     def floats(self, index: int, *kinds: str, place: str) -> NDArray[np.float32]:
         """An accessor's elements (count, width) as float32; normalised integers become 0..1 or -1..1."""
         item = self.expect(index, kinds, place)
-        if index not in self._floats:
+        array = self._floats.get(index)
+        if array is None:
             array = self.array(index)
-            if array.dtype != np.float32:
+            if item.component != "<f4":
                 array = self.as_floats(array, item.normalized)
-            array.setflags(write=False)
+                array.flags.writeable = False
             self._floats[index] = array
-        return self._floats[index]
+        return array
+
+    def wxyz(self, index: int, *, place: str) -> NDArray[np.float32]:
+        """The quaternions (count, 4) of an accessor in keypose's order; the caller's own."""
+        item = self.expect(index, ("VEC4",), place)
+        if item.component != "<f4" or item.view is None or item.sparse is not None:
+            return self.floats(index, "VEC4", place=place)[:, XYZW_TO_WXYZ]
+        stride = self._document.views[item.view].stride
+        xyzw = self._in_place(item.view, item.offset, stride, item.count, "VEC4", _DTYPES["<f4"], item.where)
+        owned = np.empty((item.count, 4), np.float32)
+        owned[:, 0] = xyzw[:, 3]
+        owned[:, 1:] = xyzw[:, :3]
+        self._check(owned, item)
+        return owned
 
     @staticmethod
     def as_floats(array: NDArray[Any], normalized: bool) -> NDArray[np.float32]:

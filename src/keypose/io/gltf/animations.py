@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.accessors import PER_ITEM, Arrays
-from keypose.io.gltf.document import Animation, Document, Sampler
+from keypose.io.gltf.accessors import PER_ITEM, XYZW_TO_WXYZ, Arrays
 from keypose.io.gltf.hierarchy import OWN
+from keypose.io.gltf.items import Animation, Document, Sampler
 from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property
 
 MODES = {"STEP": Interpolation.STEP, "LINEAR": Interpolation.LINEAR, "CUBICSPLINE": Interpolation.HERMITE}
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
-XYZW_TO_WXYZ = [3, 0, 1, 2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +49,17 @@ class Keys:
         arrays = (self.times_s, self.values, self.in_tangents, self.out_tangents)
         return (self.mode, *(None if a is None else a.tobytes() for a in arrays))
 
-    def only(self, weight: float) -> bool:
-        """Whether the keys never leave a weight, so that they say nothing that the rest does not."""
-        tangents = (t for t in (self.in_tangents, self.out_tangents) if t is not None)
-        return bool(np.all(self.values == np.float32(weight))) and not any(np.any(t) for t in tangents)
+    def only(self, weights: Sequence[float]) -> NDArray[np.bool_]:
+        """Which columns never leave a weight, so that they say nothing that the rest does not."""
+        still = (self.values == np.array(weights, np.float32)).all(axis=0)
+        for tangents in (self.in_tangents, self.out_tangents):
+            if tangents is not None:
+                still &= ~tangents.any(axis=0)
+        return still
 
     def curve(self, kind: CurveKind) -> Curve:
         """The same as a curve."""
-        return Curve(self.times_s, self.values, self.mode, self.in_tangents, self.out_tangents, kind)
+        return Curve(self.times_s, self.values, self.mode, self.in_tangents, self.out_tangents, kind=kind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +114,15 @@ class Animations:
         animations = range(len(self._document.animations))
         for instance in instances:
             self._arrays.take(len(instance.targets) * PER_ITEM, self._document.nodes[instance.node].where)
-            for index, target in enumerate(instance.targets):
-                rest_weight = instance.rest_weights[index]
-                moves = (self.weights.get((a, instance.node)) for a in animations)
-                columns = (None if keys is None else keys.column(index) for keys in moves)
-                still = (None if keys is None or keys.only(rest_weight) else keys for keys in columns)
-                seen = (rest_weight, *(None if keys is None else keys.fingerprint() for keys in still))
-                prints.setdefault(target, set()).add(seen)
+            seen: list[list[Any]] = [[weight] for weight in instance.rest_weights]
+            for keys in (self.weights.get((a, instance.node)) for a in animations):
+                still = None if keys is None else keys.only(instance.rest_weights)
+                for index, column in enumerate(seen):
+                    column.append(
+                        None if keys is None or still is None or still[index] else keys.column(index).fingerprint()
+                    )
+            for target, column in zip(instance.targets, seen, strict=True):
+                prints.setdefault(target, set()).add(tuple(column))
         shared = {target for target, seen in prints.items() if len(seen) == 1}
         names: dict[str, int] = {}
         rest: list[float] = []
@@ -183,13 +187,12 @@ class Animations:
                 if keys is None or channels is None:
                     continue
                 self._arrays.take(len(channels) * PER_ITEM, target.where)
-                columns = [keys.column(index) for index in range(len(channels))]
                 # The format animates all targets of a node at once; those that stay at rest are left out.
-                rests = [c.only(float(morphs.rest_weights[m])) for c, m in zip(columns, channels, strict=True)]
-                for column, channel, at_rest in zip(columns, channels, rests, strict=True):
-                    key = Channel(morphs.names[channel], Property.WEIGHT)
-                    if key not in curves and (not at_rest or all(rests)):  # shared channels have equal keys
-                        curves[key] = column.curve(CurveKind.SCALAR)
+                rests = keys.only([float(w) for w in morphs.rest_weights[channels]])
+                for index in np.nonzero(~rests)[0].tolist() if not rests.all() else range(len(channels)):
+                    key = Channel(morphs.names[channels[index]], Property.WEIGHT)
+                    if key not in curves:  # shared channels have equal keys
+                        curves[key] = keys.column(index).curve(CurveKind.SCALAR)
             elif node not in joint_of_node:
                 self._notes.add(f"{target.where}: nodes[{node}] is not in the scene; its animation was dropped")
             else:
@@ -214,14 +217,25 @@ class Animations:
         count = len(times) if kept is None else self._document.accessors[sampler.input].count
         where = f"{sampler.where}.output"
         kind = {"rotation": "VEC4", "weights": "SCALAR"}.get(path, "VEC3")
-        values = self._arrays.floats(sampler.output, kind, place=where)
         width = WIDTHS.get(path, targets)
         parts = 3 if sampler.interpolation == "CUBICSPLINE" else 1
+        if (
+            path == "rotation"
+            and kept is None
+            and parts == 1
+            and self._document.accessors[sampler.output].count == count
+        ):
+            rotations = self._unit(self._arrays.wxyz(sampler.output, place=where), sampler, where)
+            rotations.flags.writeable = False
+            return Keys(times, rotations, MODES[sampler.interpolation])
+        values = self._arrays.floats(sampler.output, kind, place=where)
         if values.size != count * parts * width:
             raise FormatError(
                 f"expected {count * parts * width // values.shape[1]} elements for {count} keys, got {len(values)}",
                 where=where,
             )
+        if parts == 1 and kept is None and values.shape[1] == width and path != "rotation":
+            return Keys(times, values, MODES[sampler.interpolation])
         rows = values.reshape(count, parts, width)
         if kept is not None:
             rows = rows[kept]
@@ -233,6 +247,9 @@ class Animations:
         return Keys(times, _own(middle), Interpolation.HERMITE, _own(rows[:, 0]), _own(rows[:, 2]))
 
     def _unit(self, rotations: NDArray[np.float32], sampler: Sampler, where: str) -> NDArray[np.float32]:
+        squares = np.einsum("kc,kc->k", rotations, rotations)
+        if np.abs(squares - 1).max() < 1e-5:
+            return rotations
         lengths = np.linalg.norm(rotations.astype(np.float64), axis=1)
         if np.any(lengths > 1e18):
             raise FormatError(f"key {int(np.argmax(lengths))} is no rotation", where=where)

@@ -1,4 +1,4 @@
-"""The typed model of a glTF 2.0 document: what the JSON says, checked, with indices still as they are in the file.
+"""The JSON of a glTF 2.0 file as typed items; every wrong field is refused by its name.
 
 Source: Khronos Group, glTF 2.0 Specification, sections 3 and 5.
 """
@@ -6,15 +6,33 @@ Source: Khronos Group, glTF 2.0 Specification, sections 3 and 5.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from keypose.errors import FormatError
-from keypose.io.json_values import Json
-
-COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-PATHS = ("translation", "rotation", "scale", "weights")
+from keypose.io.gltf.items import (
+    COMPONENTS,
+    INTERPOLATIONS,
+    PATHS,
+    WIDTHS,
+    Accessor,
+    Animation,
+    Buffer,
+    BufferView,
+    Compressed,
+    Document,
+    Draco,
+    ImageItem,
+    MeshItem,
+    Node,
+    Primitive,
+    Sampler,
+    SceneItem,
+    SkinItem,
+    Sparse,
+    Target,
+    Texture,
+)
+from keypose.io.json_values import LARGEST, Json
 
 # Extensions that are understood, or that change nothing that keypose reads.
 SUPPORTED = {
@@ -33,215 +51,6 @@ SUPPORTED = {
 SUPPORTED_PREFIXES = ("KHR_materials_", "VRMC_")
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
-
-
-@dataclass(frozen=True, slots=True)
-class Compressed:
-    """A buffer view packed by meshoptimizer."""
-
-    buffer: int
-    offset: int
-    length: int
-    stride: int
-    count: int
-    mode: str  # ATTRIBUTES, TRIANGLES, INDICES
-    filter: str  # NONE, OCTAHEDRAL, QUATERNION, EXPONENTIAL, COLOR
-
-
-@dataclass(frozen=True, slots=True)
-class BufferView:
-    """A range of a buffer."""
-
-    buffer: int
-    offset: int
-    length: int
-    stride: int | None
-    compressed: Compressed | None
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Buffer:
-    """Raw bytes: of the GLB file itself, embedded, or beside it."""
-
-    uri: str | None
-    length: int
-    fallback: bool  # a place-holder for data that is really compressed
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Sparse:
-    """Elements that replace those of an accessor."""
-
-    count: int
-    indices_view: int
-    indices_offset: int
-    indices_type: str
-    values_view: int
-    values_offset: int
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Accessor:
-    """Typed elements within a buffer view."""
-
-    view: int | None
-    offset: int
-    count: int
-    component: str  # NumPy type
-    kind: str  # SCALAR .. MAT4
-    normalized: bool
-    sparse: Sparse | None
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A node of the hierarchy; ``rotation`` is xyzw as in the file."""
-
-    name: str
-    children: tuple[int, ...]
-    mesh: int | None
-    skin: int | None
-    translation: tuple[float, ...] | None
-    rotation: tuple[float, ...] | None
-    scale: tuple[float, ...] | None
-    matrix: tuple[float, ...] | None
-    weights: tuple[float, ...] | None
-    extras: Mapping[str, Any]
-    others: tuple[str, ...]  # camera, light and further extensions it carries
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Draco:
-    """The compressed form of a primitive."""
-
-    view: int
-    attributes: Mapping[str, int]  # unique id of the compressed attribute
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Primitive:
-    """Triangles of one material."""
-
-    attributes: Mapping[str, int]
-    indices: int | None
-    material: int | None
-    mode: int
-    targets: tuple[Mapping[str, int], ...]
-    draco: Draco | None
-    extras: Mapping[str, Any]
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class MeshItem:
-    """A mesh of one or several primitives that share their morph targets."""
-
-    name: str
-    primitives: tuple[Primitive, ...]
-    weights: tuple[float, ...] | None
-    target_names: tuple[str, ...] | None
-    extras: Mapping[str, Any]
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class SkinItem:
-    """The joints of a skin and where their inverse bind matrices lie."""
-
-    name: str
-    joints: tuple[int, ...]
-    inverse_bind: int | None
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Sampler:
-    """Keyframes."""
-
-    input: int
-    output: int
-    interpolation: str
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """What a sampler drives; ``node`` is None where an extension says what."""
-
-    sampler: int
-    node: int | None
-    path: str
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Animation:
-    """One clip."""
-
-    name: str
-    samplers: tuple[Sampler, ...]
-    targets: tuple[Target, ...]
-    extras: Mapping[str, Any]
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class ImageItem:
-    """A picture by URI or buffer view."""
-
-    name: str
-    uri: str | None
-    view: int | None
-    mime_type: str
-    where: str
-
-
-@dataclass(frozen=True, slots=True)
-class Texture:
-    """An image with its sampler's settings."""
-
-    image: int | None
-    sampler: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class SceneItem:
-    """Roots that belong together."""
-
-    name: str
-    nodes: tuple[int, ...]
-    extras: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Document:
-    """All of a file's JSON that keypose understands."""
-
-    asset: Mapping[str, Any]
-    used: tuple[str, ...]
-    required: tuple[str, ...]
-    buffers: tuple[Buffer, ...]
-    views: tuple[BufferView, ...]
-    accessors: tuple[Accessor, ...]
-    images: tuple[ImageItem, ...]
-    textures: tuple[Texture, ...]
-    materials: tuple[Json, ...]
-    meshes: tuple[MeshItem, ...]
-    skins: tuple[SkinItem, ...]
-    nodes: tuple[Node, ...]
-    scenes: tuple[SceneItem, ...]
-    scene: int | None
-    animations: tuple[Animation, ...]
-    extensions: Mapping[str, Any]
-    extras: Mapping[str, Any]
-    cameras: int
-
 
 _T = TypeVar("_T")
 
@@ -276,14 +85,14 @@ def parse(root: Json) -> Document:
         used=used,
         required=required,
         buffers=each("buffers", _buffer),
-        views=each("bufferViews", _view),
-        accessors=each("accessors", _accessor),
+        views=_quickly(root, "bufferViews", sizes, _plain_view, _view),
+        accessors=_quickly(root, "accessors", sizes, _plain_accessor, _accessor),
         images=each("images", _image),
         textures=tuple(_texture(item, sizes, samplers) for item in root.items("textures")),
         materials=tuple(root.items("materials")),
         meshes=each("meshes", _mesh),
         skins=each("skins", _skin),
-        nodes=each("nodes", _node),
+        nodes=_quickly(root, "nodes", sizes, _plain_node, _node),
         scenes=each("scenes", _scene),
         scene=root.index("scene", sizes["scenes"], "scene"),
         animations=each("animations", _animation),
@@ -307,6 +116,50 @@ _LISTS = [
     "skins",
     "textures",
 ]
+
+
+def _quickly(
+    root: Json,
+    key: str,
+    sizes: Mapping[str, int],
+    plain: Callable[[dict[str, Any], str, Mapping[str, int]], _T | None],
+    careful: Callable[[Json, Mapping[str, int]], _T],
+) -> tuple[_T, ...]:
+    """A long list: items as nearly all are take a short way; what that does not know is judged by the careful one."""
+    member = root.get(key)
+    if member is None or not isinstance(member.value, list):
+        return tuple(careful(item, sizes) for item in root.items(key))
+    values = cast("list[Any]", member.value)
+    prefix = f"{member.where}["
+    made: list[_T] = []
+    for index, value in enumerate(values):
+        where = f"{prefix}{index}]"
+        try:
+            item = plain(value, where, sizes)
+        except (AttributeError, TypeError, KeyError):  # no object, or a list for a name
+            item = None
+        made.append(careful(Json(value, where), sizes) if item is None else item)
+    return tuple(made)
+
+
+def _plain_view(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> BufferView | None:
+    get = value.get
+    buffer, offset, length, stride = get("buffer"), get("byteOffset", 0), get("byteLength"), get("byteStride")
+    if type(buffer) is int and type(offset) is int and type(length) is int and "extensions" not in value:
+        sound = 0 <= buffer < sizes["buffers"] and 0 <= offset < LARGEST and 0 <= length < LARGEST
+        if sound and ((stride is None and "byteStride" not in value) or (type(stride) is int and 0 < stride < 256)):
+            return BufferView(buffer, offset, length, stride, None, where)
+    return None
+
+
+def _plain_accessor(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> Accessor | None:
+    get = value.get
+    view, offset, count, kind = get("bufferView"), get("byteOffset", 0), get("count"), value["type"]
+    if type(view) is int and type(offset) is int and type(count) is int and kind in WIDTHS:
+        sound = 0 <= view < sizes["bufferViews"] and 0 <= offset < LARGEST and 0 < count < LARGEST
+        if sound and "sparse" not in value and "normalized" not in value:
+            return Accessor(view, offset, count, COMPONENTS[value["componentType"]], kind, False, None, where)
+    return None
 
 
 def _texts(item: Json, key: str) -> tuple[str, ...]:
@@ -492,27 +345,78 @@ def _node(item: Json, sizes: Mapping[str, int]) -> Node:
     )
 
 
+def _plain_node(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> Node | None:
+    """A joint: a name, children, translation, rotation and scale."""
+    if not value.keys() <= _JOINT_KEYS:
+        return None
+    get = value.get
+    name, children, extras, count = get("name", ""), get("children", ()), get("extras", {}), sizes["nodes"]
+    if (
+        type(name) is not str
+        or type(extras) is not dict
+        or not all(type(c) is int and 0 <= c < count for c in children)
+    ):
+        return None
+    parts = [get(key) for key in ("translation", "rotation", "scale")]
+    for key, part, width in zip(("translation", "rotation", "scale"), parts, (3, 4, 3), strict=True):
+        if part is None:
+            if key in value:
+                return None
+        elif len(part) != width or not all(type(v) in (int, float) and -1e30 < v < 1e30 for v in part):
+            return None
+    t, r, s = (None if part is None else tuple(map(float, part)) for part in parts)
+    return Node(name, tuple(children), None, None, t, r, s, None, None, extras, (), where)
+
+
+_JOINT_KEYS = {"name", "children", "translation", "rotation", "scale", "extras"}
+
+
 def _scene(item: Json, sizes: Mapping[str, int]) -> SceneItem:
     return SceneItem(item.text("name", ""), item.indices("nodes", sizes["nodes"], "node"), item.extras())
 
 
 def _animation(item: Json, sizes: Mapping[str, int]) -> Animation:
-    samplers = tuple(_sampler(s, sizes) for s in item.items("samplers"))
-    targets: list[Target] = []
-    for channel in item.items("channels"):
-        target = channel.need("target")
-        path = target.text("path")
-        node = target.index("node", sizes["nodes"], "node")
-        if path not in PATHS and node is not None:
-            target.fail(f"expected a path of {', '.join(PATHS)}, got '{path[:40]}'")
-        sampler = channel.need("sampler").as_integer(0, len(samplers), "sampler")
-        targets.append(Target(sampler, node, path, channel.where))
-    return Animation(item.text("name", ""), samplers, tuple(targets), item.extras(), item.where)
+    samplers = _quickly(item, "samplers", sizes, _plain_sampler, _sampler)
+    counts = {**sizes, "own": len(samplers)}
+    targets = _quickly(item, "channels", counts, _plain_target, _target)
+    return Animation(item.text("name", ""), samplers, targets, item.extras(), item.where)
+
+
+def _plain_target(value: dict[str, Any], where: str, counts: Mapping[str, int]) -> Target | None:
+    target = value["target"]
+    sampler, path, node = value["sampler"], target["path"], target["node"]
+    if type(sampler) is int and 0 <= sampler < counts["own"] and type(node) is int and 0 <= node < counts["nodes"]:
+        return Target(sampler, node, path, where) if path in PATHS else None
+    return None
+
+
+def _target(channel: Json, counts: Mapping[str, int]) -> Target:
+    target = channel.need("target")
+    path = target.text("path")
+    node = target.index("node", counts["nodes"], "node")
+    if path not in PATHS and node is not None:
+        target.fail(f"expected a path of {', '.join(PATHS)}, got '{path[:40]}'")
+    sampler = channel.need("sampler").as_integer(0, counts["own"], "sampler")
+    return Target(sampler, node, path, channel.where)
+
+
+def _plain_sampler(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> Sampler | None:
+    times, values, mode = value["input"], value["output"], value.get("interpolation", "LINEAR")
+    count = sizes["accessors"]
+    if (
+        type(times) is int
+        and type(values) is int
+        and 0 <= times < count
+        and 0 <= values < count
+        and mode in INTERPOLATIONS
+    ):
+        return Sampler(times, values, mode, where)
+    return None
 
 
 def _sampler(item: Json, sizes: Mapping[str, int]) -> Sampler:
     interpolation = item.text("interpolation", "LINEAR")
-    if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
+    if interpolation not in INTERPOLATIONS:
         item.fail(f"expected an interpolation of STEP, LINEAR or CUBICSPLINE, got '{interpolation[:40]}'")
     return Sampler(
         input=item.to("input", sizes["accessors"], "accessor"),

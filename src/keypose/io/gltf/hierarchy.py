@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.document import Document, Node
+from keypose.io.gltf.items import Document, Node
 from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 

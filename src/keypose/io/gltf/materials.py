@@ -12,7 +12,7 @@ from typing import Any
 from keypose.errors import FormatError
 from keypose.io.gltf.accessors import Arrays
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
-from keypose.io.gltf.document import Document, ImageItem
+from keypose.io.gltf.items import Document, ImageItem
 from keypose.io.json_values import Json
 from keypose.io.notes import Notes
 from keypose.model import Image, Material

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from keypose.errors import FormatError
-from keypose.io.gltf.document import Compressed
+from keypose.io.gltf.items import Compressed
 
 # The most bytes that one compressed byte can stand for: a control byte of the attributes' version 1 covers four
 # bytes of 256 elements each. A count beyond it is refused before memory is taken.

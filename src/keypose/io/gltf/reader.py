@@ -14,8 +14,9 @@ from keypose.io.gltf import hierarchy, humanoid
 from keypose.io.gltf.accessors import PER_ITEM, Arrays
 from keypose.io.gltf.animations import Animations, MorphChannels, MorphInstance
 from keypose.io.gltf.container import open_container
-from keypose.io.gltf.document import Document, MeshItem, parse
+from keypose.io.gltf.document import parse
 from keypose.io.gltf.hierarchy import OWN, Hierarchy
+from keypose.io.gltf.items import Document, MeshItem
 from keypose.io.gltf.materials import Materials
 from keypose.io.gltf.surfaces import Surfaces, target_names
 from keypose.io.json_values import Json, parse_json
@@ -46,7 +47,10 @@ def read_with(path: Path, understand: Understand | None) -> Scene:
         document = parse(root)
         arrays = Arrays(document, container, notes)
         materials = Materials(document, arrays, container, notes)
-        return _scene(path, root, document, arrays, materials, notes, understand)
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # checks take sums of squares; what is too large for one is looked at again
+            return _scene(path, root, document, arrays, materials, notes, understand)
     except FormatError as error:
         raise error.at(path) from None
     except RecursionError:

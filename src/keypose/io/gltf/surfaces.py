@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from keypose.errors import FormatError, MissingExtra
 from keypose.io.gltf.accessors import Arrays
 from keypose.io.gltf.compression import DracoMesh, unpack_draco
-from keypose.io.gltf.document import Document, MeshItem, Primitive, SkinItem
+from keypose.io.gltf.items import Document, MeshItem, Primitive, SkinItem
 from keypose.io.normals import smooth_normals
 from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Mesh, MorphSet, Skin
@@ -139,7 +139,6 @@ class Surfaces:
                 indices = self._arrays.array(primitive.indices)[:, 0]
         if len(indices) and int(indices.max()) >= count:
             raise FormatError(f"vertex {int(indices.max())} does not exist; there are {count}", where=where)
-        indices = indices.astype(np.int32)
         if mode == 4:
             if len(indices) % 3:
                 self._notes.add(f"{where}: {len(indices)} corners are no whole triangles; the rest was dropped")
@@ -148,8 +147,9 @@ class Surfaces:
             triangles = _strip(indices)
         else:
             triangles = _fan(indices)
-        owned = np.array(triangles, np.int32, order="C")
-        owned.setflags(write=False)
+        owned = np.empty(triangles.shape, np.int32)
+        owned[:] = triangles
+        owned.flags.writeable = False
         return owned
 
     def _influences(
@@ -163,17 +163,24 @@ class Surfaces:
             self._notes.add(f"{primitive.where}: {', '.join(odd)} have no counterpart and were dropped")
         if sets == 0:
             return None, None
-        joints = np.concatenate([source.integers(f"JOINTS_{s}", "VEC4") for s in range(sets)], axis=1)
-        weights = np.concatenate([source.floats(f"WEIGHTS_{s}", "VEC4") for s in range(sets)], axis=1)
-        return joints.astype(np.int32), self._normalized(weights, primitive.where)
+        joints = [source.integers(f"JOINTS_{s}", "VEC4") for s in range(sets)]
+        weights = [source.floats(f"WEIGHTS_{s}", "VEC4") for s in range(sets)]
+        numbers = joints[0].astype(np.int32) if sets == 1 else np.concatenate(joints, axis=1, dtype=np.int32)
+        numbers.flags.writeable = False
+        together = weights[0] if sets == 1 else np.concatenate(weights, axis=1)
+        return numbers, self._normalized(together, primitive.where)
 
     def _normalized(self, weights: NDArray[np.float32], where: str) -> NDArray[np.float32]:
-        if np.any(weights < 0):
+        if weights.min(initial=0) < 0:
             self._notes.add(
                 f"{where}: {int(np.sum(np.any(weights < 0, axis=1)))} vertices have negative weights, taken as 0"
             )
             weights = np.maximum(weights, np.float32(0))
-        sums = weights.sum(axis=1, dtype=np.float64)
+        sums = weights[:, 0].astype(np.float64)
+        for column in range(1, weights.shape[1]):  # many times quicker than NumPy's sum over a short axis
+            sums += weights[:, column]
+        if np.abs(sums - 1).max(initial=0) <= WEIGHT_TOLERANCE:
+            return weights
         empty = sums <= 0
         if np.any(empty):
             self._notes.add(f"{where}: {int(empty.sum())} vertices have no weight; they follow their first joint")
@@ -212,11 +219,7 @@ class Surfaces:
                 self._notes.add(f"{item.where}: morph deltas of {', '.join(dropped)} were dropped")
             position = deltas.get("POSITION")
             normal = deltas.get("NORMAL") if authored_normals else None
-            moved = np.zeros(count, bool)
-            for delta in (position, normal):
-                if delta is not None:
-                    moved |= np.any(delta != 0, axis=1)
-            rows = np.nonzero(moved)[0]
+            rows = _moved(count, [d for d in (position, normal) if d is not None])
             self._arrays.take(len(rows) * 28, where)
             vertices.append(rows)
             positions.append(np.broadcast_to(zero, (len(rows), 3)) if position is None else position[rows])
@@ -318,6 +321,15 @@ def target_names(item: MeshItem, notes: Notes) -> tuple[str, ...]:
         if names[-1] != name:
             notes.add(f"{item.where}: morph target '{name}' appears more than once; one became '{names[-1]}'")
     return tuple(names)
+
+
+def _moved(count: int, deltas: Sequence[NDArray[np.float32]]) -> NDArray[np.intp]:
+    """Which vertices any of the deltas (V, 3) moves."""
+    moved = np.zeros(count, bool)
+    for delta in deltas:
+        for column in range(3):
+            moved |= delta[:, column] != 0
+    return np.nonzero(moved)[0]
 
 
 def _rgba(colors: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -19,8 +19,8 @@ from keypose.arrays import Floats
 from keypose.errors import FormatError
 from keypose.io.axes import turn_roots
 from keypose.io.gltf import vrm_zero
-from keypose.io.gltf.document import Document
 from keypose.io.gltf.hierarchy import Hierarchy
+from keypose.io.gltf.items import Document
 from keypose.io.gltf.reader import read_with
 from keypose.io.gltf.surfaces import target_names
 from keypose.io.gltf.vrm_writer import PRESETS
