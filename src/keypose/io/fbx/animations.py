@@ -11,7 +11,7 @@ from keypose.arrays import Array, Floats
 from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, wxyz
 from keypose.io.fbx.morphs import Morphs
-from keypose.io.fbx.process import Record, sane
+from keypose.io.guarded import Record, sane
 from keypose.io.notes import Notes
 from keypose.math import quat
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property

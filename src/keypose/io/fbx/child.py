@@ -1,25 +1,15 @@
 # pyright: basic
-"""The throw-away process in which ufbx reads FBX files; it imports nothing of keypose and is never imported by it.
-
-Called as ``python child.py`` with one JSON object on standard input: ``memory_bytes`` and ``files``, a list of paths with
-seconds and bytes that each may take. To standard output, a file, goes one record for each: blocks of a tag, a length and
-that many bytes, first the arrays, then a JSON object that says what they are and where in the record. A record without
-its JSON means that the process was killed or crashed on that file.
+"""What the guarded process (`keypose.io.guarded_child`) does to read FBX with ufbx; keypose itself never imports it.
 
 ufbx's binding releases objects more often than it holds them. Nothing that it returns is therefore ever let go, the
 garbage collector is off, and the process ends without tearing anything down.
 """
 
 import gc
-import json
 import math
-import os
-import struct
-import sys
 from array import array
 from itertools import chain
 
-ARRAY, FACTS = b"array   ", b"facts   "
 MOST_FRAMES = 1_000_000
 MOST_SAMPLES = 50_000_000
 DEPTH_LIMIT = 512
@@ -46,49 +36,14 @@ def items(elements):
     return [hold(elements[i]) for i in range(len(elements))]
 
 
-class Refusal(Exception):
-    """What is wrong with the file, and where."""
-
-    def __init__(self, where, what):
-        super().__init__(what)
-        self.where, self.what = where, what
+def buffer(record, elements, width):
+    """One of ufbx's lists of vectors, which are buffers of doubles."""
+    return record.put("d", hold(memoryview(elements)) if len(elements) else b"", width)
 
 
-class Record:
-    """One file's arrays on their way out; what is written is not kept in memory."""
-
-    def __init__(self, out, most_bytes):
-        self._out, self._length, self._most = out, 0, most_bytes
-
-    def put(self, kind, data, width=0):
-        """Store bytes of an array of ``kind``; returns what finds it again."""
-        data = bytes(data)
-        at = self._length + 16
-        self._length = at + len(data)
-        if self._length > self._most:
-            raise Refusal("", f"it holds more than {self._most >> 20} MiB")
-        self._out.write(ARRAY + struct.pack("<Q", len(data)))
-        self._out.write(data)
-        return {"at": at, "kind": kind, "count": len(data) // {"d": 8, "I": 4, "B": 1}[kind], "width": width}
-
-    def reals(self, values, width=0):
-        """Any iterable of floats."""
-        return self.put("d", array("d", values).tobytes(), width)
-
-    def buffer(self, elements, width):
-        """One of ufbx's lists of vectors, which are buffers of doubles."""
-        return self.put("d", hold(memoryview(elements)), width) if len(elements) else self.put("d", b"", width)
-
-    def indices(self, elements):
-        """One of ufbx's lists of integers."""
-        return self.put("I", array("I", elements).tobytes())
-
-    def finish(self, facts):
-        """End the record."""
-        text = json.dumps(facts).encode()
-        self._out.write(FACTS + struct.pack("<Q", len(text)))
-        self._out.write(text)
-        self._out.flush()
+def indices(record, elements):
+    """One of ufbx's lists of integers."""
+    return record.put("I", array("I", elements).tobytes())
 
 
 def transform(value):
@@ -111,8 +66,8 @@ def vertex_values(record, attribute, width):
     if not attribute.exists:
         return None
     return {
-        "values": record.buffer(hold(attribute.values), width),
-        "indices": record.indices(hold(attribute.indices)),
+        "values": buffer(record, hold(attribute.values), width),
+        "indices": indices(record, hold(attribute.indices)),
     }
 
 
@@ -155,10 +110,10 @@ def read_meshes(record, scene):
             {
                 "name": mesh.name,
                 "parts": parts.value_str if parts is not None else "",
-                "positions": record.buffer(hold(mesh.vertices), 3),
-                "corners": record.indices(hold(mesh.vertex_indices)),
-                "faces": record.indices(chain.from_iterable(hold(mesh.faces))),
-                "face_materials": record.indices(hold(mesh.face_material)),
+                "positions": buffer(record, hold(mesh.vertices), 3),
+                "corners": indices(record, hold(mesh.vertex_indices)),
+                "faces": indices(record, chain.from_iterable(hold(mesh.faces))),
+                "face_materials": indices(record, hold(mesh.face_material)),
                 "normals": vertex_values(record, hold(mesh.vertex_normal), 3),
                 "generated_normals": bool(mesh.generated_normals),
                 "uvs": [vertex_values(record, hold(layer.vertex_uv), 2) for layer in layers],
@@ -181,8 +136,8 @@ def read_skins(record, scene):
             {
                 "bone": identity_of(hold(cluster.bone_node)),
                 "matrix": list(matrix(cluster.geometry_to_bone)),
-                "vertices": record.indices(hold(cluster.vertices)),
-                "weights": record.buffer(hold(cluster.weights), 0),
+                "vertices": indices(record, hold(cluster.vertices)),
+                "weights": buffer(record, hold(cluster.weights), 0),
             }
             for cluster in items(hold(skin.clusters))
         ]
@@ -191,8 +146,8 @@ def read_skins(record, scene):
                 "name": skin.name,
                 "method": int(skin.skinning_method),
                 "clusters": clusters,
-                "dq_vertices": record.indices(hold(skin.dq_vertices)),
-                "dq_weights": record.buffer(hold(skin.dq_weights), 0),
+                "dq_vertices": indices(record, hold(skin.dq_vertices)),
+                "dq_weights": buffer(record, hold(skin.dq_weights), 0),
             }
         )
     return facts
@@ -218,9 +173,9 @@ def read_morphs(record, scene):
     shapes = [
         {
             "name": shape.name,
-            "vertices": record.indices(hold(shape.offset_vertices)),
-            "positions": record.buffer(hold(shape.position_offsets), 3),
-            "normals": record.buffer(hold(shape.normal_offsets), 3),
+            "vertices": indices(record, hold(shape.offset_vertices)),
+            "positions": buffer(record, hold(shape.position_offsets), 3),
+            "normals": buffer(record, hold(shape.normal_offsets), 3),
         }
         for shape in items(hold(scene.blend_shapes))
     ]
@@ -276,10 +231,10 @@ def key_range(stack):
     return first, last, count
 
 
-def frame_times(begin, end, rate, where):
+def frame_times(record, begin, end, rate, where):
     """Times of all frames from ``begin`` to ``end``, which itself is one."""
     if not (math.isfinite(begin) and math.isfinite(end)) or (end - begin) * rate > MOST_FRAMES:
-        raise Refusal(where, f"it lasts {end - begin:g} s, more than {MOST_FRAMES:,} frames")
+        record.refuse(where, f"it lasts {end - begin:g} s, more than {MOST_FRAMES:,} frames")
     slack = 1e-4
     first = round(begin * rate)
     count = math.floor((end - begin) * rate + slack)
@@ -309,11 +264,11 @@ def read_stacks(record, scene, nodes, rate, evaluate):
         facts.append(item)
         if not curves:
             continue
-        times = frame_times(begin, end, rate, where)
+        times = frame_times(record, begin, end, rate, where)
         animated = evaluate.animated(stack)
         samples += len(times) * (len(nodes) + len(channels))
         if samples > MOST_SAMPLES:
-            raise Refusal(where, f"{len(times):,} frames of {len(nodes):,} nodes are too many")
+            record.refuse(where, f"{len(times):,} frames of {len(nodes):,} nodes are too many")
         item["times"] = record.reals(times)
         for index, node in enumerate(nodes):
             if node.is_root:
@@ -474,23 +429,21 @@ def _turned(q, v):
     return _product(_product(q, (*v, 0.0)), _conjugate(q))[:3]
 
 
-def read(path, out, most_bytes, ufbx):
-    """One file as one record; what is wrong with it is a record too."""
-    record = Record(out, most_bytes)
-    try:
-        facts = understood(record, path, ufbx)
-    except Refusal as error:
-        facts = {"error": error.what, "where": error.where}
-    except ufbx.UfbxError as error:
-        facts = {"error": str(error) or type(error).__name__, "where": "", "kind": type(error).__name__}
-    except MemoryError:
-        facts = {"error": "it needs too much memory", "where": "", "kind": "MemoryError"}
-    except Exception as error:
-        facts = {"error": f"{type(error).__name__}: {error}", "where": "", "kind": "internal"}
-    record.finish(facts)
+def start():
+    """Import the library, once the limits hold."""
+    global ufbx
+    gc.disable()
+    import ufbx
 
 
-def understood(record, path, ufbx):
+def reason(error):
+    """Words for ufbx's errors."""
+    if isinstance(error, ufbx.UfbxError):
+        return {"error": str(error) or type(error).__name__, "where": "", "kind": type(error).__name__}
+    return None
+
+
+def understood(record, path):
     """What a file holds, in its own unit, Y up and facing +Z."""
     axis = ufbx.CoordinateAxis
     scene = hold(
@@ -538,7 +491,7 @@ def understood(record, path, ufbx):
         "dropped": {name: len(hold(getattr(scene, name))) for name in DROPPED},
     }
     if not (math.isfinite(rate) and 0 < rate <= 100_000):
-        raise Refusal("GlobalSettings", f"the frame rate is {rate:g} Hz")
+        record.refuse("GlobalSettings", f"the frame rate is {rate:g} Hz")
     facts["stacks"] = read_stacks(record, scene, nodes, rate, evaluate)
     facts["notes"] = evaluate.notes[:1000]
     return facts
@@ -547,46 +500,3 @@ def understood(record, path, ufbx):
 def _application(metadata):
     found = hold(metadata.latest_application)
     return f"{found.name} {found.version}".strip()
-
-
-def set_memory_limit(memory_bytes):
-    """A limit where the system has one, and no core dumps."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    for kind, value in ((resource.RLIMIT_AS, memory_bytes), (resource.RLIMIT_CORE, 0)):
-        try:
-            _, hard = resource.getrlimit(kind)
-            limit = value if hard == resource.RLIM_INFINITY else min(value, hard)
-            resource.setrlimit(kind, (limit, hard))
-        except (OSError, ValueError):  # the system does not know it
-            continue
-    return resource
-
-
-def set_time_limit(resource, cpu_s):
-    """From now on so many seconds of computing; then the process is killed."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    limit = math.ceil(used.ru_utime + used.ru_stime + cpu_s)
-    resource.setrlimit(resource.RLIMIT_CPU, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-
-
-def main():
-    """Read the files that standard input names."""
-    gc.disable()
-    request = json.load(sys.stdin)
-    out = os.fdopen(os.dup(1), "wb")
-    limits = set_memory_limit(request["memory_bytes"])
-    import ufbx
-
-    for path, cpu_s, most_bytes in request["files"]:
-        if limits is not None:
-            set_time_limit(limits, cpu_s)
-        read(path, out, most_bytes, ufbx)
-    os._exit(0)
-
-
-if __name__ == "__main__":
-    main()

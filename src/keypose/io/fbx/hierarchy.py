@@ -10,7 +10,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.errors import FormatError
-from keypose.io.fbx.process import Record, sane
+from keypose.io.guarded import Record, sane
 from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 

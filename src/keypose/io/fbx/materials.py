@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.io.fbx.process import Record
+from keypose.io.guarded import Record
 from keypose.io.notes import Notes
 from keypose.model import Image, Material
 

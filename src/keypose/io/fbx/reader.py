@@ -17,8 +17,9 @@ from keypose.io.fbx.materials import materials
 from keypose.io.fbx.morphs import Morphs, morph_set
 from keypose.io.fbx.morphs import build as build_morphs
 from keypose.io.fbx.place import place_of_damage
-from keypose.io.fbx.process import Record, records
+from keypose.io.fbx.process import records
 from keypose.io.fbx.surfaces import DQ_ATTRIBUTE, Binding, Surface, Surfaces, bind
+from keypose.io.guarded import Record
 from keypose.io.notes import Notes
 from keypose.math import rigid
 from keypose.model import Character, Material, Mesh, Part, Scene

@@ -13,7 +13,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, affine
 from keypose.io.fbx.polygons import triangulate
-from keypose.io.fbx.process import Record, sane
+from keypose.io.guarded import Record, sane
 from keypose.io.normals import smooth_normals
 from keypose.io.notes import Notes
 from keypose.model import Mesh, Skin, SkinningMethod
