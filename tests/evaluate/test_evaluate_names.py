@@ -12,9 +12,10 @@ from keypose.model import Channel, Clip, Curve, Property
 
 def test_the_public_names() -> None:
     assert sorted(evaluate.__all__) == [
-        "MatchReport", "add", "bake", "blend", "difference", "key_rate", "local", "match", "match_report",
-        "reduce_keys", "resample", "sample", "sample_clip", "sample_curve", "sample_morphs", "sample_motion",
-        "snap_to_keys", "to_clip", "unmatched", "world", "world_rotations_positions",
+        "KeyedValue", "MatchReport", "add", "bake", "bake_timeline", "blend", "difference", "exposed_times", "key_rate", "local", "match", "match_report",
+        "placement_duration", "placement_times", "reduce_keys", "resample", "sample", "sample_clip", "sample_curve",
+        "sample_morphs", "sample_motion", "sample_timeline", "sample_timeline_morphs", "snap_to_keys", "to_clip",
+        "unmatched", "value_for_result", "world", "world_rotations_positions",
     ]  # fmt: skip
     assert sorted(deform.__all__) == [
         "PackReport", "SurfaceError", "deform_character", "deform_part", "morph", "morph_absolute",

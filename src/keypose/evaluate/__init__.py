@@ -6,17 +6,32 @@ from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
 from keypose.evaluate.rates import key_rate
 from keypose.evaluate.sampling import sample, sample_clip, sample_curve, sample_morphs, sample_motion, unmatched
+from keypose.evaluate.timeline import (
+    KeyedValue,
+    bake_timeline,
+    exposed_times,
+    placement_duration,
+    placement_times,
+    sample_timeline,
+    sample_timeline_morphs,
+    value_for_result,
+)
 
 __all__ = [
+    "KeyedValue",
     "MatchReport",
     "add",
     "bake",
+    "bake_timeline",
     "blend",
     "difference",
+    "exposed_times",
     "key_rate",
     "local",
     "match",
     "match_report",
+    "placement_duration",
+    "placement_times",
     "reduce_keys",
     "resample",
     "sample",
@@ -24,9 +39,12 @@ __all__ = [
     "sample_curve",
     "sample_morphs",
     "sample_motion",
+    "sample_timeline",
+    "sample_timeline_morphs",
     "snap_to_keys",
     "to_clip",
     "unmatched",
+    "value_for_result",
     "world",
     "world_rotations_positions",
 ]
