@@ -14,6 +14,7 @@ from keypose.model import (
     Clip,
     Curve,
     CurveKind,
+    Extrapolation,
     Interpolation,
     Layer,
     LayerMode,
@@ -93,6 +94,18 @@ def test_an_empty_timeline_rests() -> None:
 )
 def test_where_a_placement_is_in_its_clip(placement: Placement, times: list[float], asked: list[float]) -> None:
     np.testing.assert_allclose(x_of(one(placement), {"move": moving()}, times), asked, atol=1e-12)
+
+
+def test_a_clip_that_is_not_cut_off_goes_on_as_its_curves_say() -> None:
+    rules = {"before": Extrapolation.LINEAR, "after": Extrapolation.CYCLE_OFFSET}
+    curve = Curve([0.0, 1.0], [[0.0, 0, 0], [1.0, 0, 0]], **rules)  # type: ignore[arg-type]
+    clips: dict[str, Clip | Motion] = {"go": Clip({Channel("root", Property.TRANSLATION): curve})}
+    times = [-1.0, 0.5, 1.5, 3.25]
+    np.testing.assert_allclose(x_of(one(Placement("go")), clips, times), times)
+    np.testing.assert_allclose(x_of(one(Placement("go", in_s=0.0)), clips, times), [0.0, 0.5, 1.5, 3.25])
+    np.testing.assert_allclose(x_of(one(Placement("go", out_s=1.0)), clips, times), [-1.0, 0.5, 1.0, 1.0])
+    np.testing.assert_allclose(x_of(one(Placement("go", speed=-1.0)), clips, times), [2.0, 0.5, -0.5, -2.25])
+    np.testing.assert_allclose(x_of(one(Placement("go", out_s=1.0, speed=-1.0)), clips, times), [1.0, 0.5, -0.5, -2.25])
 
 
 def test_a_placement_that_does_not_hold_leaves_the_rest_pose_outside() -> None:

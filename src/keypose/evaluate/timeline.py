@@ -200,8 +200,9 @@ def placement_duration(placement: Placement, animation: Clip | Motion) -> float:
 def placement_times(placement: Placement, animation: Clip | Motion, times_s: Any) -> tuple[Array, Array]:
     """The animation's own times (*B,) and the placement's weights (*B,) at times (*B,) of the timeline.
 
-    Before its start and after its end the first and last moment hold; there the weight is 0 unless ``placement.hold``.
-    Fades are smoothsteps.
+    Before its start and after its end the first and last moment hold, or, at an end of the animation that is not cut off
+    by ``in_s``, ``out_s`` or cycles, the animation goes on as its curves extrapolate. Without ``placement.hold`` the weight
+    is 0 there. Fades are smoothsteps.
     """
     times = np.asarray(times_s, np.float64)
     duration = placement_duration(placement, animation)
@@ -219,6 +220,13 @@ def placement_times(placement: Placement, animation: Clip | Motion, times_s: Any
         # The end of the last cycle is the part's end, not the beginning of a further cycle.
         cycle = np.minimum(np.floor(gone / length), math.ceil(placement.cycles) - 1)
         into = np.clip(gone - cycle * length, 0.0, length)
+        if placement.cycles == 1:
+            backwards = placement.speed < 0
+            first, last = (placement.out_s, placement.in_s) if backwards else (placement.in_s, placement.out_s)
+            if first is None:
+                into = into + np.minimum(since, 0.0) * abs(placement.speed)
+            if last is None:
+                into = into + np.maximum(since - duration, 0.0) * abs(placement.speed)
         own = start + into if placement.speed > 0 else end - into
     weight = np.ones_like(elapsed)
     if placement.weight is not None:

@@ -33,6 +33,7 @@ class Placement:
             ``cycles``, and lasts from ``start_s`` to its last key.
         weight: scalar curve of the influence by seconds since ``start_s``, or None for 1.
         hold: whether the last pose stays after its end (and the first before its start), else it has no influence there.
+            Where the animation's own end is not cut off (``out_s`` None, one cycle) it goes on as its curves extrapolate.
 
     Raises:
         ShapeError: where a number is not finite, a duration negative, a speed 0 or a curve not scalar.
