@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from keypose.errors import FormatError
 from keypose.io.gltf import compression
 from keypose.io.gltf.container import Container, decode_data_uri, is_data_uri, read_beside
-from keypose.io.gltf.items import COMPONENTS, WIDTHS, Accessor, BufferView, Document
+from keypose.io.gltf.items import COMPONENTS, WIDTHS, Accessor, BufferView, Document, Sparse
 from keypose.io.notes import Notes
 
 # How much may be decoded from one file: views may overlap and accessors may have no bytes at all, so that a small
@@ -167,30 +167,40 @@ class Arrays:
         return np.ndarray((count, rows, rows), component, data, offset, (stride, column, bytes_each))
 
     def _replaced(self, array: NDArray[Any], item: Accessor) -> NDArray[Any]:
-        sparse = item.sparse
-        if sparse is None or sparse.count == 0:
-            return array
+        if item.sparse is not None and item.sparse.count:
+            indices, values = self._replacements(item, item.sparse)
+            array[indices] = values
+        return array
+
+    def _replacements(self, item: Accessor, sparse: Sparse) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Which elements (N,) are replaced, by which values (N, width)."""
         if sparse.count > item.count:
             raise FormatError(f"replaces {sparse.count} of {item.count} elements", where=f"{sparse.where}.count")
         where = f"{sparse.where}.indices"
-        component = np.dtype(sparse.indices_type)
+        component = _DTYPES[sparse.indices_type]
         indices = self._elements(
             sparse.indices_view, sparse.indices_offset, None, sparse.count, "SCALAR", component, where
-        )[:, 0].astype(np.int64)
+        )[:, 0]
         if indices.max() >= item.count:
             raise FormatError(f"element {int(indices.max())} does not exist; there are {item.count}", where=where)
-        if np.any(np.diff(indices) <= 0):
+        if not (indices[1:] > indices[:-1]).all():
             self._notes.add(f"{where}: the indices of replaced elements do not increase")
-        array[indices] = self._elements(
-            sparse.values_view,
-            sparse.values_offset,
-            None,
-            sparse.count,
-            item.kind,
-            np.dtype(item.component),
-            f"{sparse.where}.values",
+        component = _DTYPES[item.component]
+        where = f"{sparse.where}.values"
+        return indices, self._elements(
+            sparse.values_view, sparse.values_offset, None, sparse.count, item.kind, component, where
         )
-        return array
+
+    def rows(self, index: int, *, place: str) -> tuple[NDArray[Any], NDArray[np.float32]] | None:
+        """Elements (N,) of a VEC3 accessor and their values (N, 3) where all others are zero by themselves; None else."""
+        item = self.expect(index, ("VEC3",), place)
+        if item.view is not None or item.sparse is None or item.sparse.count == 0 or item.component != "<f4":
+            return None
+        indices, values = self._replacements(item, item.sparse)
+        if not (indices[1:] > indices[:-1]).all():
+            return None
+        self._check(values, item)
+        return indices, values
 
     def floats(self, index: int, *kinds: str, place: str) -> NDArray[np.float32]:
         """An accessor's elements (count, width) as float32; normalised integers become 0..1 or -1..1."""

@@ -155,11 +155,32 @@ def _plain_view(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> 
 def _plain_accessor(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> Accessor | None:
     get = value.get
     view, offset, count, kind = get("bufferView"), get("byteOffset", 0), get("count"), value["type"]
-    if type(view) is int and type(offset) is int and type(count) is int and kind in WIDTHS:
-        sound = 0 <= view < sizes["bufferViews"] and 0 <= offset < LARGEST and 0 < count < LARGEST
-        if sound and "sparse" not in value and "normalized" not in value:
-            return Accessor(view, offset, count, COMPONENTS[value["componentType"]], kind, False, None, where)
+    if type(offset) is not int or type(count) is not int or kind not in WIDTHS or "normalized" in value:
+        return None
+    sparse = None
+    if "sparse" in value:
+        sparse = _plain_sparse(value["sparse"], where, sizes["bufferViews"])
+        if sparse is None:
+            return None
+    if type(view) is int:
+        if not 0 <= view < sizes["bufferViews"]:
+            return None
+    elif "bufferView" in value:
+        return None
+    if 0 <= offset < LARGEST and 0 < count < LARGEST:
+        return Accessor(view, offset, count, COMPONENTS[value["componentType"]], kind, False, sparse, where)
     return None
+
+
+def _plain_sparse(value: dict[str, Any], where: str, views: int) -> Sparse | None:
+    indices, values, count = value["indices"], value["values"], value["count"]
+    component = COMPONENTS[indices["componentType"]]
+    places = (indices["bufferView"], indices.get("byteOffset", 0), values["bufferView"], values.get("byteOffset", 0))
+    if "u" not in component or not all(type(number) is int and 0 <= number < LARGEST for number in (count, *places)):
+        return None
+    if places[0] >= views or places[2] >= views:
+        return None
+    return Sparse(count, places[0], places[1], component, places[2], places[3], f"{where}.sparse")
 
 
 def _texts(item: Json, key: str) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ class Buffer:
     where: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sparse:
     """Elements that replace those of an accessor."""
 

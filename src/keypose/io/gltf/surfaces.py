@@ -202,37 +202,53 @@ class Surfaces:
         if not primitive.targets:
             return None
         names = target_names(item, self._notes)
-        starts, vertices = [0], list[NDArray[np.int64]]()
+        starts, vertices = [0], list[NDArray[np.integer[Any]]]()
         positions, normals = list[NDArray[np.float32]](), list[NDArray[np.float32]]()
         any_normals = False
         zero = np.zeros((1, 3), np.float32)
         for number, target in enumerate(primitive.targets):
             where = f"{primitive.where}.targets[{number}]"
-            deltas: dict[str, NDArray[np.float32]] = {}
-            for name in ("POSITION", "NORMAL"):
-                if name in target:
-                    deltas[name] = self._arrays.floats(target[name], "VEC3", place=f"{where}.{name}")
-                    if len(deltas[name]) != count:
-                        raise FormatError(f"{len(deltas[name])} deltas for {count} vertices", where=f"{where}.{name}")
-            dropped = [n for n in target if n not in deltas]
+            rows, position, normal = self._deltas(target, where, count, authored_normals)
+            dropped = [n for n in target if n not in ("POSITION", "NORMAL")]
             if dropped:
                 self._notes.add(f"{item.where}: morph deltas of {', '.join(dropped)} were dropped")
-            position = deltas.get("POSITION")
-            normal = deltas.get("NORMAL") if authored_normals else None
-            rows = _moved(count, [d for d in (position, normal) if d is not None])
             self._arrays.take(len(rows) * 28, where)
             vertices.append(rows)
-            positions.append(np.broadcast_to(zero, (len(rows), 3)) if position is None else position[rows])
-            normals.append(np.broadcast_to(zero, (len(rows), 3)) if normal is None else normal[rows])
+            positions.append(np.broadcast_to(zero, (len(rows), 3)) if position is None else position)
+            normals.append(np.broadcast_to(zero, (len(rows), 3)) if normal is None else normal)
             any_normals |= normal is not None
             starts.append(starts[-1] + len(rows))
         return MorphSet(
             names,
             np.array(starts),
-            np.concatenate(vertices),
+            np.concatenate(vertices, dtype=np.int32),
             np.concatenate(positions),
             np.concatenate(normals) if any_normals else None,
         )
+
+    def _deltas(
+        self, target: Mapping[str, int], where: str, count: int, authored_normals: bool
+    ) -> tuple[NDArray[np.integer[Any]], NDArray[np.float32] | None, NDArray[np.float32] | None]:
+        """The vertices that a target moves, and the deltas of their positions and normals where it has them."""
+        for name in ("POSITION", "NORMAL"):
+            if name in target and (found := self._document.accessors[target[name]].count) != count:
+                raise FormatError(f"{found} deltas for {count} vertices", where=f"{where}.{name}")
+        names = [name for name in ("POSITION", "NORMAL") if name in target and (name == "POSITION" or authored_normals)]
+        few = [self._arrays.rows(target[name], place=f"{where}.{name}") for name in names]
+        kept = [pair for pair in few if pair is not None]
+        if kept and len(kept) == len(few):  # only the vertices that move are stored; no more is taken up
+            indices, deltas = _joined(kept)
+        else:
+            indices = None
+            deltas = [self._arrays.floats(target[name], "VEC3", place=f"{where}.{name}") for name in names]
+        moved = _moved(count if indices is None else len(indices), deltas)
+        if len(moved) < (count if indices is None else len(indices)):
+            deltas = [values[moved] for values in deltas]
+            indices = moved if indices is None else indices[moved]
+        elif indices is None:
+            indices = moved
+        by_name = dict(zip(names, deltas, strict=True))
+        return indices, by_name.get("POSITION"), by_name.get("NORMAL")
 
 
 class _Source:
@@ -321,6 +337,22 @@ def target_names(item: MeshItem, notes: Notes) -> tuple[str, ...]:
         if names[-1] != name:
             notes.add(f"{item.where}: morph target '{name}' appears more than once; one became '{names[-1]}'")
     return tuple(names)
+
+
+def _joined(
+    pairs: Sequence[tuple[NDArray[Any], NDArray[np.float32]]],
+) -> tuple[NDArray[Any], list[NDArray[np.float32]]]:
+    """The rows (N,) that any of several sparse arrays has, and the values (N, 3) of each there."""
+    first = pairs[0][0]
+    if all(np.array_equal(indices, first) for indices, _ in pairs[1:]):
+        return first, [values for _, values in pairs]
+    rows = np.unique(np.concatenate([indices for indices, _ in pairs]))
+    spread: list[NDArray[np.float32]] = []
+    for indices, values in pairs:
+        whole = np.zeros((len(rows), 3), np.float32)
+        whole[np.searchsorted(rows, indices)] = values
+        spread.append(whole)
+    return rows, spread
 
 
 def _moved(count: int, deltas: Sequence[NDArray[np.float32]]) -> NDArray[np.intp]:
