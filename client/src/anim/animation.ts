@@ -1,8 +1,9 @@
 // Animations as the server sends them, and their binding to the joints and morphs of one character by name.
 
-import type { ClipData, MotionData } from "../generated/messages";
+import type { ClipData, CurveData, MotionData } from "../generated/messages";
 import type { Arrays } from "../net/container";
-import { Curve } from "./curve";
+import { Curve, type CurveArrays } from "./curve";
+import { EULER_ORDER, eulerFromQuat, quatFromEuler } from "./euler";
 import { matchNames } from "./matching";
 import type { Pose, Rig } from "./rig";
 import { slerp } from "./rotation";
@@ -64,60 +65,99 @@ type Field = "translations" | "rotations" | "scales" | "morphs";
 const FIELDS: Record<string, [Field, number]> = {
   translation: ["translations", 3],
   rotation: ["rotations", 4],
+  euler: ["rotations", 4],
   scale: ["scales", 3],
   weight: ["morphs", 1],
 };
+
+/** The arrays of a curve that the server sent. */
+export function curveArrays(data: CurveData, arrays: Arrays): CurveArrays {
+  const optional = (ref: CurveData["in_tangents"]) => (ref ? arrays.floats(ref) : null);
+  return {
+    kind: data.kind,
+    times: arrays.float64(data.times),
+    values: arrays.floats(data.values),
+    modes: arrays.uint8(data.modes),
+    inTangents: optional(data.in_tangents),
+    outTangents: optional(data.out_tangents),
+    inHandles: optional(data.in_handles),
+    outHandles: optional(data.out_handles),
+    before: data.before,
+    after: data.after,
+  };
+}
+
+/** What is bound: `apply` writes one joint's or morph's property of a pose. */
+type Track = (time: number, pose: Pose) => void;
+
+/** A joint's Euler angles: a whole curve, curves of single angles over it or over rest, and the order they turn in. */
+function eulerTrack(joint: number, order: string, rest: Float64Array, whole: Curve | null, parts: (Curve | null)[]): Track {
+  const still = new Float64Array(3), angles = new Float64Array(3);
+  eulerFromQuat(rest, 4 * joint, order, still, 0);
+  return (time, pose) => {
+    if (whole) whole.sample(time, angles, 0);
+    else angles.set(still);
+    for (let c = 0; c < 3; c++) parts[c]?.sample(time, angles, c);
+    quatFromEuler(angles, 0, order, pose.rotations, 4 * joint);
+  };
+}
+
+interface BoundCurve {
+  target: string;
+  property: string;
+  component: number | null;
+  curve: Curve;
+}
 
 export class ClipAnimation extends Animation {
   readonly kind = "clip";
   readonly joints: ReadonlySet<string>;
   readonly morphNames: ReadonlySet<string>;
-  private readonly curves: { target: string; field: Field; width: number; curve: Curve }[];
+  private readonly curves: BoundCurve[];
+  private readonly eulerOrders: Record<string, string>;
   private readonly keyCache = new Map<string | null, Float64Array>();
 
   constructor(data: ClipData, arrays: Arrays, sceneId: string, index: number) {
     super(data, sceneId, index);
-    this.curves = data.curves.map((c) => {
-      const [field, width] = FIELDS[c.property];
-      const optional = (ref: typeof c.in_tangents) => (ref ? arrays.floats(ref) : null);
-      const curve = new Curve(
-        {
-          times: arrays.float64(c.times),
-          values: arrays.floats(c.values),
-          modes: arrays.uint8(c.modes),
-          inTangents: optional(c.in_tangents),
-          outTangents: optional(c.out_tangents),
-          before: c.before,
-          after: c.after,
-        },
-        c.property === "rotation",
-      );
-      return { target: c.target, field, width, curve };
-    });
-    const targets = (morphs: boolean) => this.curves.filter((c) => (c.field === "morphs") === morphs).map((c) => c.target);
+    this.eulerOrders = data.euler_orders;
+    this.curves = data.curves
+      .filter((c) => c.property in FIELDS)
+      .map((c) => ({ target: c.target, property: c.property, component: c.component, curve: new Curve(curveArrays(c, arrays)) }))
+      // what drives one component goes over what drives them all
+      .sort((a, b) => Number(a.component !== null) - Number(b.component !== null));
+    const targets = (morphs: boolean) => this.curves.filter((c) => (c.property === "weight") === morphs).map((c) => c.target);
     this.joints = new Set(targets(false));
     this.morphNames = new Set(targets(true));
   }
 
   bind(rig: Rig, morphNames: string[]): Binding {
-    const tracks: { field: Field; at: number; curve: Curve }[] = [];
+    const tracks: Track[] = [];
     const morphs = new Set<number>();
+    const eulers = new Map<number, { order: string; whole: Curve | null; parts: (Curve | null)[] }>();
     const own = new Map([...matchNames(this.joints, rig.names)].map(([name, source]) => [source, rig.index(name)]));
-    for (const { target, field, width, curve } of this.curves) {
+    for (const { target, property, component, curve: shared } of this.curves) {
+      const [field, width] = FIELDS[property];
       const index = field === "morphs" ? morphNames.indexOf(target) : (own.get(target) ?? -1);
       if (index < 0) continue;
       if (field === "morphs") morphs.add(index);
       // a curve keeps its own place between frames, so each binding has its own
-      tracks.push({ field, at: index * width, curve: new Curve(curve.data, field === "rotations") });
+      const curve = new Curve(shared.data);
+      if (property === "euler") {
+        let euler = eulers.get(index);
+        if (!euler) eulers.set(index, (euler = { order: this.eulerOrders[target] ?? EULER_ORDER, whole: null, parts: [null, null, null] }));
+        if (component === null) euler.whole = curve;
+        else euler.parts[component] = curve;
+        continue;
+      }
+      const at = index * width + (component ?? 0);
+      tracks.push((time, pose) => curve.sample(time, pose[field], at));
     }
+    for (const [joint, { order, whole, parts }] of eulers) tracks.push(eulerTrack(joint, order, rig.rest.rotations, whole, parts));
     return {
       morphs,
       apply(time, pose) {
         pose.copy(rig.rest);
-        for (let n = 0; n < tracks.length; n++) {
-          const track = tracks[n];
-          track.curve.sample(time, pose[track.field], track.at);
-        }
+        for (let n = 0; n < tracks.length; n++) tracks[n](time, pose);
       },
     };
   }
@@ -128,7 +168,7 @@ export class ClipAnimation extends Animation {
     if (!times) {
       const all = new Set<number>();
       for (const c of this.curves)
-        if (target === null || (c.field !== "morphs" && c.target === target)) for (const t of c.curve.data.times) all.add(t);
+        if (target === null || (c.property !== "weight" && c.target === target)) for (const t of c.curve.data.times) all.add(t);
       times = Float64Array.from(all).sort();
       this.keyCache.set(target, times);
     }
