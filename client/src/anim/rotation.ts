@@ -98,3 +98,21 @@ function matrix(q: ArrayLike<number>): number[][] {
     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
   ];
 }
+
+/** out[o..o+3] = the inverse of a[i..] times b[j..]: what has to follow a to be b. out may be one of them. */
+export function conjugateMultiply(a: Numbers, i: number, b: Numbers, j: number, out: Float64Array, o: number): void {
+  const aw = a[i], ax = -a[i + 1], ay = -a[i + 2], az = -a[i + 3];
+  const bw = b[j], bx = b[j + 1], by = b[j + 2], bz = b[j + 3];
+  out[o] = aw * bw - ax * bx - ay * by - az * bz;
+  out[o + 1] = aw * bx + ax * bw + ay * bz - az * by;
+  out[o + 2] = aw * by - ax * bz + ay * bw + az * bx;
+  out[o + 3] = aw * bz + ax * by - ay * bx + az * bw;
+}
+
+const half = new Float64Array(3);
+
+/** out[o..o+3] = q[i..] with its angle, taken the short way, scaled. */
+export function powerShort(q: Numbers, i: number, exponent: number, out: Float64Array, o: number): void {
+  logShort(q, i, half, 0);
+  exp(exponent * half[0], exponent * half[1], exponent * half[2], out, o);
+}
