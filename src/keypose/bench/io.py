@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from keypose.bench import glb
 from keypose.bench.suite import Suite
 from keypose.model import Markers, Scene, Signals
 
@@ -27,6 +28,7 @@ def add(suite: Suite) -> None:
     """All cases of the suite."""
     add_c3d(suite)
     add_amc(suite)
+    glb.add(suite)
 
 
 def add_c3d(suite: Suite) -> None:
