@@ -234,7 +234,7 @@ export class CrowdStage {
 
   /** The server chooses levels of detail by where the camera is. */
   private tell(now: number): void {
-    const { position, fov } = this.orbit.camera;
+    const { position, fov } = this.orbit.perspective;
     if (now - this.told < LOOK_MS || position.distanceToSquared(this.toldEye) < 1e-4) return;
     this.told = now;
     this.toldEye.copy(position);
@@ -271,7 +271,7 @@ export class CrowdStage {
   pick(x: number, y: number): number {
     const { population } = this;
     if (!population) return -1;
-    const { clientWidth: w, clientHeight: h } = this.canvas, { camera } = this.orbit;
+    const { clientWidth: w, clientHeight: h } = this.canvas, camera = this.orbit.perspective;
     let best = -1, nearest = Infinity;
     for (let n = 0; n < population.count; n++) {
       this.centerOf(n, this.point);

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { Actor } from "../view/actor";
+import { NO_MARKS } from "../view/bones";
 import { Ground } from "../view/ground";
 import { Lights } from "../view/lights";
 import { PALETTES, type Theme } from "../view/palette";
@@ -119,7 +120,7 @@ export class PlayStage {
     this.view.following = play.follow;
     if (playing) {
       playing.actor.showBones(play.bones || play.joint >= 0);
-      playing.actor.paint(PALETTES[this.theme], play.joint, -1);
+      playing.actor.paint(PALETTES[this.theme], { ...NO_MARKS, active: play.joint });
     }
     this.dirty = true;
   }

@@ -5,11 +5,14 @@ import type { CharacterData } from "../generated/messages";
 import type { Animation, Binding } from "../anim/animation";
 import { Pose, Rig } from "../anim/rig";
 import type { Arrays } from "../net/container";
-import { Axes, Bones } from "./bones";
+import { Axes, Bones, type Marks } from "./bones";
 import { Ghosts, type GhostSettings } from "./ghosts";
 import { WeightMaterial } from "./materials";
 import { Body, deformedVertices, partSources, type PartMesh, type PartSource } from "./parts";
+import { pickJoint } from "./picking";
 import type { Palette } from "./palette";
+
+export type Surface = "shaded" | "wire" | "none";
 
 export class Actor {
   readonly id: string;
@@ -251,9 +254,22 @@ export class Actor {
     if (this.ghosts) this.root.add(this.ghosts.group);
   }
 
-  paint(palette: Palette, selected: number, hovered: number): void {
-    this.solid?.paint(palette.bone, palette.accent, palette.hover, selected, hovered);
-    this.bones?.paint(palette.overlayBone, palette.accent, palette.hover, selected, hovered);
+  paint(palette: Palette, marks: Marks): void {
+    this.solid?.paint(palette.bone, palette, marks);
+    this.bones?.paint(palette.overlayBone, palette, marks);
+  }
+
+  /** Surfaces, their edges alone, or none (the skeleton stays). */
+  showSurface(surface: Surface): void {
+    this.body.group.visible = surface !== "none";
+    for (const { material } of this.sources)
+      if ("wireframe" in material) (material as THREE.MeshStandardMaterial).wireframe = surface === "wire";
+  }
+
+  /** The joint under a ray of the character's own space: the one that moves most of the surface where the ray meets it. */
+  pickSurface(ray: THREE.Ray): { joint: number; distance: number } | null {
+    if (!this.body.group.visible) return null;
+    return pickJoint(this.sources, this.rig.world, this.rig.pose.morphs, ray);
   }
 
   dispose(): void {

@@ -2,6 +2,7 @@
 
 import * as THREE from "three";
 import type { Rig } from "../anim/rig";
+import type { Palette } from "./palette";
 
 interface Bone {
   joint: number;
@@ -30,6 +31,16 @@ function boneGeometry(sides: number): THREE.BufferGeometry {
 
 export type BoneStyle = "solid" | "overlay";
 
+/** Which joints stand out, the last that fits wins: set by hand, hovered, selected, the active one. */
+export interface Marks {
+  readonly held: ReadonlySet<number>;
+  readonly selected: ReadonlySet<number>;
+  readonly hovered: number;
+  readonly active: number;
+}
+
+export const NO_MARKS: Marks = { held: new Set(), selected: new Set(), hovered: -1, active: -1 };
+
 export class Bones {
   readonly group = new THREE.Group();
   private readonly bones: Bone[];
@@ -38,7 +49,8 @@ export class Bones {
   private readonly size: number;
   /** Thickness of the thickest bone that starts at each joint. */
   private readonly reach: Float64Array;
-  private shown = "";
+  private shown: Marks | null = null;
+  private base: THREE.Color | null = null;
 
   constructor(
     private readonly rig: Rig,
@@ -63,11 +75,13 @@ export class Bones {
   }
 
   /** Colour joints and bones; the selected joint and its bones stand out. */
-  paint(base: THREE.Color, accent: THREE.Color, hover: THREE.Color, selected: number, hovered: number): void {
-    const key = `${base.getHex()} ${accent.getHex()} ${selected} ${hovered}`;
-    if (key === this.shown) return;
-    this.shown = key;
-    const color = (joint: number) => (joint === selected ? accent : joint === hovered ? hover : base);
+  paint(base: THREE.Color, palette: Palette, marks: Marks): void {
+    if (marks === this.shown && base === this.base) return;
+    this.shown = marks;
+    this.base = base;
+    const { held, selected, hovered, active } = marks;
+    const color = (joint: number) =>
+      joint === active ? palette.accent : joint === hovered ? palette.hover : selected.has(joint) ? palette.selected : held.has(joint) ? palette.held : base;
     this.bones.forEach((bone, n) => this.shafts.setColorAt(n, color(bone.joint)));
     for (let joint = 0; joint < this.rig.count; joint++) this.balls.setColorAt(joint, color(joint));
     for (const mesh of [this.shafts, this.balls]) if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;

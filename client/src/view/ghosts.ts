@@ -13,10 +13,13 @@ export interface GhostSettings {
   after: number;
   /** Frames between one ghost and the next. */
   step: number;
+  /** Times of keys in seconds, ascending: the ghosts stand there instead of in even steps. */
+  keys?: Float64Array | null;
 }
 
 interface Ghost {
-  frames: number;
+  /** Its place: the n-th before (negative) or after. */
+  place: number;
   body: Body | null;
   sticks: Sticks | null;
 }
@@ -28,14 +31,18 @@ export class Ghosts {
   private readonly world: Float64Array;
   private readonly materials: THREE.Material[] = [];
 
-  constructor(actor: Actor, settings: GhostSettings, palette: Palette) {
+  constructor(
+    actor: Actor,
+    private readonly settings: GhostSettings,
+    palette: Palette,
+  ) {
     this.pose = new Pose(actor.rig.count, actor.morphNames.length);
     this.world = new Float64Array(12 * actor.rig.count);
     const behind = 0.05 * actor.height;
     const plainDepth = this.keep(ghostDepthMaterial(behind));
-    const add = (frames: number, color: THREE.Color, strength: number, order: number) => {
+    const add = (place: number, color: THREE.Color, strength: number, order: number) => {
       const plain = this.keep(ghostMaterial(color, strength, behind));
-      const ghost: Ghost = { frames, body: null, sticks: null };
+      const ghost: Ghost = { place, body: null, sticks: null };
       if (actor.hasMesh) {
         ghost.body = new Body(actor.sources, actor.morphNames.length, (source) =>
           // parts that morph need materials of their own, because these hold the weights
@@ -51,9 +58,9 @@ export class Ghosts {
       this.ghosts.push(ghost);
     };
     for (let n = settings.before; n >= 1; n--)
-      add(-n * settings.step, palette.ghostBefore, 0.75 * (1 - (n - 1) / (settings.before + 1)), settings.before - n);
+      add(-n, palette.ghostBefore, 0.75 * (1 - (n - 1) / (settings.before + 1)), settings.before - n);
     for (let n = settings.after; n >= 1; n--)
-      add(n * settings.step, palette.ghostAfter, 0.75 * (1 - (n - 1) / (settings.after + 1)), settings.after - n);
+      add(n, palette.ghostAfter, 0.75 * (1 - (n - 1) / (settings.after + 1)), settings.after - n);
   }
 
   private keep<M extends THREE.Material>(material: M): M {
@@ -65,7 +72,7 @@ export class Ghosts {
     const { animation } = actor;
     if (!animation) return;
     for (const ghost of this.ghosts) {
-      const at = time + ghost.frames / animation.rate;
+      const at = this.timeOf(ghost.place, time, animation.rate);
       const visible = at >= animation.start - 1e-6 && at <= animation.end + 1e-6;
       if (ghost.body) ghost.body.group.visible = visible;
       if (ghost.sticks) ghost.sticks.lines.visible = visible;
@@ -74,6 +81,16 @@ export class Ghosts {
       ghost.body?.write(this.world, this.pose.morphs);
       ghost.sticks?.write(this.world);
     }
+  }
+
+  /** When the n-th ghost stands; NaN where there is no such key. */
+  private timeOf(place: number, time: number, rate: number): number {
+    const { keys, step } = this.settings;
+    if (!keys) return time + (place * step) / rate;
+    const before = keys.findIndex((t) => t > time - 1e-6);
+    const next = before < 0 ? keys.length : before;
+    const after = next < keys.length && keys[next] < time + 1e-6 ? next + 1 : next;
+    return keys[place < 0 ? next + place : after + place - 1] ?? NaN;
   }
 
   dispose(): void {

@@ -15,6 +15,10 @@ export interface Palette {
   overlayBone: THREE.Color;
   accent: THREE.Color;
   hover: THREE.Color;
+  /** Of several selected joints, those that are not the active one. */
+  selected: THREE.Color;
+  /** Set by hand and not keyed. */
+  held: THREE.Color;
   ghostBefore: THREE.Color;
   ghostAfter: THREE.Color;
 }
@@ -33,6 +37,8 @@ export const PALETTES: Record<Theme, Palette> = {
     overlayBone: color(0xc9d0da),
     accent: color(0xffab2e),
     hover: color(0xffd79a),
+    selected: color(0xd9822b),
+    held: color(0xc07cff),
     ghostBefore: color(0x4aa3ff),
     ghostAfter: color(0xff6b8b),
   },
@@ -47,6 +53,8 @@ export const PALETTES: Record<Theme, Palette> = {
     overlayBone: color(0xdde2ea),
     accent: color(0xe07a00),
     hover: color(0xf0b060),
+    selected: color(0xc46a1a),
+    held: color(0x8a3ffc),
     ghostBefore: color(0x1666c5),
     ghostAfter: color(0xcc2b55),
   },

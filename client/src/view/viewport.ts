@@ -2,7 +2,8 @@
 
 import * as THREE from "three";
 import { Clock } from "../anim/clock";
-import type { Actor } from "./actor";
+import type { Actor, Surface } from "./actor";
+import { NO_MARKS, type Marks } from "./bones";
 import { OrbitCamera, type View } from "./camera";
 import type { GhostSettings } from "./ghosts";
 import { Ground } from "./ground";
@@ -43,6 +44,14 @@ export class Viewport {
   active: Actor | null = null;
   selected = -1;
   hovered = -1;
+  /** Joints of the active actor that stand out where an editor chose several; else `selected` and `hovered` do. */
+  marks: Marks | null = null;
+  /** How the active actor's surface is drawn. */
+  surface: Surface = "shaded";
+  /** Drawn over everything else: gizmos and paths. */
+  readonly tools = new THREE.Scene();
+  /** Called before each picture, to bring the tools in line with the camera. */
+  readonly beforeDraw = new Set<() => void>();
   display: Display = { bones: false, axes: false, weights: false, ghosts: false, grid: true, shadows: true, follow: false };
   ghostSettings: GhostSettings = { before: 3, after: 3, step: 4 };
   theme: Theme = "dark";
@@ -183,8 +192,8 @@ export class Viewport {
       actor.showAxes(display.axes);
       actor.showWeights(display.weights ? (actor === this.active ? this.selected : -2) : null);
       actor.showGhosts(display.ghosts && actor.visible ? this.ghostSettings : null, palette);
-      const mine = actor === this.active;
-      actor.paint(palette, mine ? this.selected : -1, mine ? this.hovered : -1);
+      actor.paint(palette, this.marksOf(actor));
+      actor.showSurface(this.surface);
     }
     this.ground.grid = display.grid;
     this.lights.key.castShadow = display.shadows;
@@ -194,11 +203,15 @@ export class Viewport {
   paintJoints(): void {
     const palette = PALETTES[this.theme];
     for (const actor of this.actors) {
-      const mine = actor === this.active;
-      actor.paint(palette, mine ? this.selected : -1, mine ? this.hovered : -1);
-      if (this.display.weights) actor.showWeights(mine ? this.selected : -2);
+      actor.paint(palette, this.marksOf(actor));
+      if (this.display.weights) actor.showWeights(actor === this.active ? this.selected : -2);
     }
     this.invalidate();
+  }
+
+  private marksOf(actor: Actor): Marks {
+    if (actor !== this.active) return NO_MARKS;
+    return this.marks ?? { ...NO_MARKS, active: this.selected, hovered: this.hovered };
   }
 
   resize(width: number, height: number): void {
@@ -305,12 +318,17 @@ export class Viewport {
     const center = this.stageCenter();
     this.lights.fit(center, this.stageSize);
     this.ground.fit(center, this.stageSize);
+    for (const prepare of this.beforeDraw) prepare();
     renderer.info.reset();
     renderer.clear();
     renderer.render(this.scene, orbit.camera);
     if (this.display.bones || this.display.axes) {
       renderer.clearDepth();
       renderer.render(this.overlay, orbit.camera);
+    }
+    if (this.tools.visible && this.tools.children.length > 0) {
+      renderer.clearDepth();
+      renderer.render(this.tools, orbit.camera);
     }
   }
 
@@ -390,6 +408,30 @@ export class Viewport {
       }
     }
     return best;
+  }
+
+  /**
+   * Draw a picture of so many pixels and hand it to `use`; then the window is as it was. `camera` is where it is taken
+   * from; without one, the view's own.
+   */
+  picture<T>(width: number, height: number, use: (canvas: HTMLCanvasElement) => T, camera?: () => void): T {
+    const { orbit, renderer } = this;
+    const kept = { position: orbit.camera.position.clone(), target: orbit.target.clone(), turn: orbit.camera.quaternion.clone() };
+    try {
+      renderer.setPixelRatio(1);
+      renderer.setSize(width, height, false);
+      orbit.resize(width, height);
+      camera?.();
+      this.draw();
+      return use(this.canvas);
+    } finally {
+      if (camera) {
+        orbit.camera.position.copy(kept.position);
+        orbit.target.copy(kept.target);
+        orbit.camera.quaternion.copy(kept.turn);
+      }
+      this.resize(...this.size);
+    }
   }
 
   screenshot(): Promise<Blob> {
