@@ -139,7 +139,8 @@ def log_cubic_controls(values: Array, times_s: Array) -> Array:
     The rotation vector of each span, from its first key, is a cubic of time; the angular velocities at the inner keys are
     those for which the angular accelerations of both sides agree. They solve a block-tridiagonal system with a small
     quadratic part, found by Newton's method; where that does not converge (spans near half a turn in very unequal
-    times) the best velocities found are taken, and the acceleration jumps a little there.
+    times) the best velocities found are taken, and the acceleration jumps a little there. Backwards in time the curve is
+    another one.
 
     Raises: ShapeError where shapes disagree or times do not increase.
     Source: the curve of SciPy's `RotationSpline`; the derivatives of the exponential map are those of Rodrigues' formula.
