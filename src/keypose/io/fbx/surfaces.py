@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.fbx.hierarchy import Hierarchy, affine
-from keypose.io.fbx.polygons import triangulate
 from keypose.io.guarded import Record, sane
 from keypose.io.normals import smooth_normals
 from keypose.io.notes import Notes
+from keypose.io.polygons import distinct, triangulate
 from keypose.model import Mesh, Skin, SkinningMethod
 
 LINEAR, RIGID, DUAL_QUATERNION, BLENDED = range(4)
@@ -139,7 +139,7 @@ class Surfaces:
         used = np.unique(triangles)
         rows = [corners[used].astype(np.uint32)[:, None]]
         rows += [np.ascontiguousarray(c[used] + np.float32(0)).view(np.uint32) for c in columns.values()]
-        first, inverse = _distinct(np.concatenate(rows, axis=1))
+        first, inverse = distinct(np.concatenate(rows, axis=1))
         order = np.lexsort((first, corners[used[first]]))  # as the control points are, so that they keep their order
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
@@ -160,20 +160,6 @@ class Surfaces:
             attributes,
         )
         return Surface(slot, mesh, control_points, len(positions))
-
-
-def _distinct(rows: NDArray[np.uint32]) -> tuple[Ints, Ints]:
-    """The first of each kind of equal rows, and for each row which of these it equals."""
-    dice = np.random.default_rng(7)
-    factors = dice.integers(1, 2**63, rows.shape[1], np.uint64) * np.uint64(2) + np.uint64(1)
-    with np.errstate(over="ignore"):
-        mixed = (rows.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)) * factors
-        mixed ^= mixed >> np.uint64(29)
-        keys = mixed.sum(axis=1, dtype=np.uint64)
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    if not np.array_equal(rows[first][inverse], rows):  # two different rows have one key
-        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first, inverse.reshape(-1)
 
 
 def _unit(normals: NDArray[np.float32], points: NDArray[np.float32], triangles: Ints) -> NDArray[np.float32]:

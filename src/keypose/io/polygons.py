@@ -1,4 +1,4 @@
-"""Polygons cut into triangles."""
+"""Polygons cut into triangles, and their corners joined to vertices."""
 
 from __future__ import annotations
 
@@ -38,6 +38,20 @@ def triangulate(positions: Floats, corners: Ints, faces: Ints, where: str) -> tu
     triangles, owner = np.concatenate(found), np.concatenate(owners)
     order = np.argsort(owner, kind="stable")
     return triangles[order], owner[order]
+
+
+def distinct(rows: NDArray[np.uint32]) -> tuple[Ints, Ints]:
+    """The first of each kind of equal rows, and for each row which of these it equals."""
+    dice = np.random.default_rng(7)
+    factors = dice.integers(1, 2**63, rows.shape[1], np.uint64) * np.uint64(2) + np.uint64(1)
+    with np.errstate(over="ignore"):
+        mixed = (rows.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)) * factors
+        mixed ^= mixed >> np.uint64(29)
+        keys = mixed.sum(axis=1, dtype=np.uint64)
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first][inverse], rows):  # two different rows have one key
+        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, inverse.reshape(-1)
 
 
 def _better_diagonal(points: Floats) -> NDArray[np.bool_]:
