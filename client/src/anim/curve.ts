@@ -2,10 +2,12 @@
 
 import { bezierValue } from "./bezier";
 import { exp, logShort, multiply, normalize, slerp, type Numbers } from "./rotation";
+import { rotationControls, rotationSpline, type RotationMethod } from "./rotation-splines";
 
 const STEP = 0;
 const HERMITE = 2;
 const BEZIER = 3;
+const METHODS: Readonly<Record<number, RotationMethod>> = { 4: "squad", 5: "spherical-bezier", 6: "log-cubic" };
 
 /** A curve's arrays; `EditCurve` of the editor is one, too. */
 export interface CurveArrays {
@@ -26,6 +28,8 @@ export class Curve {
   readonly width: number;
   readonly rotation: boolean;
   private cursor = 0;
+  /** Inner controls of the modes that exist for rotations alone, made when first needed. */
+  private readonly controls = new Map<RotationMethod, Float64Array>();
 
   constructor(readonly data: CurveArrays) {
     this.keys = data.times.length;
@@ -98,6 +102,9 @@ export class Curve {
         const a = 2 * (i + c), b = 2 * (j + c);
         out[at + c] = bezierValue(u, span, values[i + c], outHandles[a], outHandles[a + 1], inHandles[b], inHandles[b + 1], values[j + c]);
       }
+    } else if (this.rotation && METHODS[mode]) {
+      const method = METHODS[mode];
+      rotationSpline(method, values, this.controlsOf(method), k, u, out, at);
     } else if (this.rotation) {
       slerp(values, i, values, j, u, out, at);
     } else {
@@ -106,6 +113,12 @@ export class Curve {
         out[at + c] = u < 0.5 ? a + u * d : b - (1 - u) * d;
       }
     }
+  }
+
+  private controlsOf(method: RotationMethod): Float64Array {
+    let found = this.controls.get(method);
+    if (!found) this.controls.set(method, (found = rotationControls(method, this.data.values, this.data.times)));
+    return found;
   }
 
   /** Each whole cycle starts where the one before it ended. */

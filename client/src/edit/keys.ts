@@ -1,0 +1,613 @@
+// Operations on the keys of curves. Nothing is changed in place: a curve goes in, a curve comes out, and arrays that an
+// operation leaves alone are the same arrays.
+
+import { bezierParameter, handleShare } from "../anim/bezier";
+import { Curve, keyBefore, keyFrom } from "../anim/curve";
+import { Mode, Tangent, type EditCurve, type Kind } from "./contract";
+import { refresh, refreshTangents, type Draft } from "./tangents";
+
+export { refreshTangents } from "./tangents";
+
+/** Keys nearer than this are one key: less than a thousandth of a frame. */
+export const SAME_TIME = 2e-5;
+
+/** A curve and where the keys that were worked on are in it. */
+export interface Keyed {
+  readonly curve: EditCurve;
+  readonly indices: Uint32Array;
+}
+
+/** time' = scaleTime * time + shiftTime, value' = scaleValue * value + shiftValue. */
+export interface Transform {
+  readonly scaleTime: number;
+  readonly shiftTime: number;
+  readonly scaleValue: number;
+  readonly shiftValue: number;
+}
+
+export const STILL: Transform = { scaleTime: 1, shiftTime: 0, scaleValue: 1, shiftValue: 0 };
+
+/** The modes that a kind of curve may have. */
+export function modesOf(kind: Kind): readonly Mode[] {
+  if (kind === "boolean") return [Mode.Step];
+  if (kind === "rotation") return [Mode.Step, Mode.Linear, Mode.Hermite, Mode.Squad, Mode.SphericalBezier, Mode.LogCubic];
+  return [Mode.Step, Mode.Linear, Mode.Hermite, Mode.Bezier];
+}
+
+export function allKeys(curve: EditCurve): Uint32Array {
+  return Uint32Array.from({ length: curve.times.length }, (_, k) => k);
+}
+
+/** Indices that are not among others (both sorted). */
+export function without(count: number, indices: ArrayLike<number>): Uint32Array {
+  const out = new Uint32Array(count - indices.length);
+  let taken = 0, n = 0;
+  for (let k = 0; k < count; k++) {
+    if (taken < indices.length && indices[taken] === k) taken++;
+    else out[n++] = k;
+  }
+  return out;
+}
+
+// ---- arrays ----------------------------------------------------------------------------------------------------------
+
+type Numbers = Float64Array | Uint8Array;
+
+function rows<A extends Numbers>(array: A, indices: ArrayLike<number>, width: number): A {
+  const out = new (array.constructor as new (n: number) => A)(indices.length * width);
+  for (let n = 0, o = 0; n < indices.length; n++) {
+    const from = indices[n] * width;
+    for (let c = 0; c < width; c++) out[o++] = array[from + c];
+  }
+  return out;
+}
+
+/** Only these keys (indices in increasing order), as a curve of their own; null of none. */
+export function pick(curve: EditCurve, indices: ArrayLike<number>): EditCurve | null {
+  if (indices.length === 0) return null;
+  const width = curve.components;
+  const of = <A extends Numbers>(array: A | null, size: number) => array && rows(array, indices, size);
+  return {
+    ...curve,
+    times: of(curve.times, 1)!,
+    values: of(curve.values, width)!,
+    modes: of(curve.modes, 1)!,
+    inTangents: of(curve.inTangents, width),
+    outTangents: of(curve.outTangents, width),
+    inHandles: of(curve.inHandles, 2 * width),
+    outHandles: of(curve.outHandles, 2 * width),
+    types: of(curve.types, 2),
+  };
+}
+
+const sliced = <A extends Numbers>(array: A | null): A | null => array && (array.slice() as A);
+
+/** A copy whose arrays may be written. */
+function draftOf(curve: EditCurve): Draft {
+  return {
+    ...curve,
+    times: curve.times.slice(),
+    values: curve.values.slice(),
+    modes: curve.modes.slice(),
+    inTangents: sliced(curve.inTangents),
+    outTangents: sliced(curve.outTangents),
+    inHandles: sliced(curve.inHandles),
+    outHandles: sliced(curve.outHandles),
+    types: sliced(curve.types),
+  };
+}
+
+/** A curve that has handles: those of Hermite spans describe the same cubic, all others point to their neighbours. */
+export function withHandles(curve: EditCurve): EditCurve {
+  if (curve.inHandles) return curve;
+  const { times, values, components: width, modes, inTangents, outTangents } = curve;
+  const count = times.length;
+  const inHandles = new Float64Array(2 * values.length), outHandles = new Float64Array(2 * values.length);
+  for (let k = 0; k + 1 < count; k++) {
+    const third = (times[k + 1] - times[k]) / 3, hermite = modes[k] === Mode.Hermite && inTangents && outTangents;
+    for (let c = 0; c < width; c++) {
+      const n = k * width + c, m = n + width;
+      const secant = (values[m] - values[n]) / (3 * third);
+      outHandles[2 * n] = third;
+      outHandles[2 * n + 1] = third * (hermite ? outTangents[n] : secant);
+      inHandles[2 * m] = -third;
+      inHandles[2 * m + 1] = -third * (hermite ? inTangents[m] : secant);
+    }
+  }
+  return { ...curve, inHandles, outHandles };
+}
+
+/** A curve that has tangents: of Bezier spans the slopes of their handles, of all others towards their neighbours. */
+export function withTangents(curve: EditCurve): EditCurve {
+  if (curve.inTangents) return curve;
+  const { times, values, components: width, modes, inHandles, outHandles } = curve;
+  const inTangents = new Float64Array(values.length), outTangents = new Float64Array(values.length);
+  for (let k = 0; k + 1 < times.length; k++) {
+    const span = times[k + 1] - times[k], bezier = modes[k] === Mode.Bezier && inHandles && outHandles;
+    for (let c = 0; c < width; c++) {
+      const n = k * width + c, m = n + width;
+      const secant = (values[m] - values[n]) / span;
+      const slope = (handles: Float64Array, at: number) => (handles[2 * at] === 0 ? secant : handles[2 * at + 1] / handles[2 * at]);
+      outTangents[n] = bezier ? slope(outHandles, n) : secant;
+      inTangents[m] = bezier ? slope(inHandles, m) : secant;
+    }
+  }
+  return { ...curve, inTangents, outTangents };
+}
+
+const withTypes = (curve: EditCurve): EditCurve => (curve.types ? curve : { ...curve, types: new Uint8Array(2 * curve.times.length) });
+
+/** Two curves of one channel as one; where keys coincide, those of `added` win. Sides are not brought up to date. */
+export function merge(base: EditCurve | null, added: EditCurve): Keyed {
+  if (!base) return { curve: added, indices: allKeys(added) };
+  const even = (a: EditCurve, b: EditCurve) => {
+    let out = a;
+    if (b.inHandles) out = withHandles(out);
+    if (b.inTangents) out = withTangents(out);
+    return b.types ? withTypes(out) : out;
+  };
+  const a = even(base, added), b = even(added, base);
+  const na = a.times.length, nb = b.times.length;
+  // keys of `a` by their index, those of `b` by na + their index
+  const order = new Uint32Array(na + nb), indices = new Uint32Array(nb);
+  let i = 0, j = 0, n = 0;
+  while (i < na || j < nb) {
+    if (j < nb && (i >= na || b.times[j] <= a.times[i] + SAME_TIME)) {
+      if (n > 0 && order[n - 1] < na && Math.abs(a.times[order[n - 1]] - b.times[j]) <= SAME_TIME) n--;
+      indices[j] = n;
+      order[n++] = na + j++;
+    } else if (j > 0 && Math.abs(a.times[i] - b.times[j - 1]) <= SAME_TIME) i++;
+    else order[n++] = i++;
+  }
+  const used = order.subarray(0, n);
+  const width = base.components;
+  const join = <A extends Numbers>(from: A | null, other: A | null, size: number): A | null => {
+    if (!from || !other) return null;
+    const out = new (from.constructor as new (n: number) => A)(n * size);
+    for (let k = 0, o = 0; k < n; k++) {
+      const mine = used[k] < na, source = mine ? from : other, at = (mine ? used[k] : used[k] - na) * size;
+      for (let c = 0; c < size; c++) out[o++] = source[at + c];
+    }
+    return out;
+  };
+  return {
+    curve: {
+      ...base,
+      times: join(a.times, b.times, 1)!,
+      values: join(a.values, b.values, width)!,
+      modes: join(a.modes, b.modes, 1)!,
+      inTangents: join(a.inTangents, b.inTangents, width),
+      outTangents: join(a.outTangents, b.outTangents, width),
+      inHandles: join(a.inHandles, b.inHandles, 2 * width),
+      outHandles: join(a.outHandles, b.outHandles, 2 * width),
+      types: join(a.types, b.types, 2),
+    },
+    indices,
+  };
+}
+
+/** Bring the sides of keys and of their neighbours up to date, in place. */
+function refreshAround(draft: Draft, indices: ArrayLike<number>): void {
+  if (!draft.types) return;
+  let n = 0;
+  while (n < indices.length) {
+    const first = indices[n];
+    let last = first;
+    // one run for keys whose neighbourhoods touch
+    while (n + 1 < indices.length && indices[n + 1] <= last + 3) last = indices[++n];
+    refresh(draft, first - 1, last + 1);
+    n++;
+  }
+}
+
+function refreshed({ curve, indices }: Keyed): Keyed {
+  return { curve: refreshTangents(curve), indices };
+}
+
+// ---- move and scale --------------------------------------------------------------------------------------------------
+
+/**
+ * Move and scale keys. `masks` holds for every index the bits of the components whose values change (null: all). Keys that
+ * land on others take their place; a negative scale of time turns the order round.
+ */
+export function transformKeys(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null = null): Keyed {
+  const { scaleTime, shiftTime, scaleValue, shiftValue } = transform;
+  const inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
+  if (indices.length === 0 || (!inTime && !inValue)) return { curve, indices };
+  if (inTime && !(scaleTime > 0 && staysInOrder(curve.times, indices, scaleTime, shiftTime))) {
+    // taken out, changed as a curve of their own and put back
+    const own = pick(curve, indices)!;
+    const rest = pick(curve, without(curve.times.length, indices));
+    return refreshed(merge(rest, orderly(changed(own, allKeys(own), transform, masks))));
+  }
+  const draft = changed(curve, indices, transform, masks);
+  refreshAround(draft, indices);
+  return { curve: draft, indices };
+}
+
+function staysInOrder(times: Float64Array, indices: Uint32Array, scale: number, shift: number): boolean {
+  const end = times.length - 1;
+  for (let n = 0; n < indices.length; n++) {
+    const k = indices[n], time = scale * times[k] + shift;
+    const left = k === 0 ? -Infinity : n > 0 && indices[n - 1] === k - 1 ? scale * times[k - 1] + shift : times[k - 1];
+    const right = k === end ? Infinity : n + 1 < indices.length && indices[n + 1] === k + 1 ? scale * times[k + 1] + shift : times[k + 1];
+    if (time - left <= SAME_TIME || right - time <= SAME_TIME) return false;
+  }
+  return true;
+}
+
+/** Keys with new times and values where they stand; only arrays that change are copied. */
+function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null): Draft {
+  const { scaleTime, shiftTime, scaleValue, shiftValue } = transform;
+  const width = curve.components, inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
+  const sides = scaleTime !== 1 || scaleValue !== 1 || curve.types !== null;
+  const draft: Draft = {
+    ...curve,
+    times: inTime ? curve.times.slice() : curve.times,
+    values: inValue ? curve.values.slice() : curve.values,
+    inTangents: sides ? sliced(curve.inTangents) : curve.inTangents,
+    outTangents: sides ? sliced(curve.outTangents) : curve.outTangents,
+    inHandles: sides ? sliced(curve.inHandles) : curve.inHandles,
+    outHandles: sides ? sliced(curve.outHandles) : curve.outHandles,
+  };
+  const { times, values, inTangents, outTangents, inHandles, outHandles } = draft;
+  for (let n = 0; n < indices.length; n++) {
+    const k = indices[n], mask = masks ? masks[n] : 255;
+    if (inTime) times[k] = scaleTime * times[k] + shiftTime;
+    for (let c = 0; c < width; c++) {
+      const i = k * width + c, on = (mask >> c) & 1, grown = on ? scaleValue : 1;
+      if (inValue && on) values[i] = scaleValue * values[i] + shiftValue;
+      if (scaleTime === 1 && grown === 1) continue;
+      if (inTangents && outTangents) {
+        inTangents[i] *= grown / (scaleTime || 1);
+        outTangents[i] *= grown / (scaleTime || 1);
+      }
+      if (inHandles && outHandles) {
+        inHandles[2 * i] *= scaleTime;
+        inHandles[2 * i + 1] *= grown;
+        outHandles[2 * i] *= scaleTime;
+        outHandles[2 * i + 1] *= grown;
+      }
+    }
+    if (inValue && curve.kind === "rotation") unit(values, k * width, mask);
+    if (inValue && curve.kind === "boolean") values[k] = values[k] >= 0.5 ? 1 : 0;
+  }
+  return draft;
+}
+
+/** A rotation stays one: what was not edited gives way. */
+function unit(q: Float64Array, o: number, mask: number): void {
+  let set = 0, other = 0;
+  for (let c = 0; c < 4; c++) if ((mask >> c) & 1) set += q[o + c] * q[o + c]; else other += q[o + c] * q[o + c];
+  if (set >= 1 || (mask & 15) === 15 || other === 0) {
+    const s = 1 / Math.sqrt(set + ((mask & 15) === 15 || set < 1 ? other : 0) || 1);
+    for (let c = 0; c < 4; c++) q[o + c] = (mask >> c) & 1 ? q[o + c] * s : 0;
+    return;
+  }
+  const s = Math.sqrt((1 - set) / other);
+  for (let c = 0; c < 4; c++) if (!((mask >> c) & 1)) q[o + c] *= s;
+}
+
+/** Keys in the order of their times, one for each time (the last that came), after time was turned round or squeezed. */
+function orderly(curve: Draft): EditCurve {
+  const count = curve.times.length;
+  const backwards = count > 1 && curve.times[0] > curve.times[count - 1];
+  let next: EditCurve = curve;
+  if (backwards) {
+    const turned = pick(curve, Uint32Array.from({ length: count }, (_, k) => count - 1 - k))!;
+    const modes = turned.modes.slice();
+    // a span's mode belongs to the key that starts it, which is now the other one
+    for (let k = 0; k + 1 < count; k++) modes[k] = turned.modes[k + 1];
+    modes[count - 1] = turned.modes[0];
+    const types = turned.types && turned.types.map((_, n) => turned.types![n ^ 1]);
+    next = {
+      ...turned,
+      modes,
+      types,
+      inTangents: turned.outTangents,
+      outTangents: turned.inTangents,
+      inHandles: turned.outHandles,
+      outHandles: turned.inHandles,
+    };
+  }
+  const kept: number[] = [];
+  for (let k = 0; k < count; k++) {
+    if (kept.length > 0 && next.times[k] - next.times[kept[kept.length - 1]] <= SAME_TIME) kept.pop();
+    kept.push(k);
+  }
+  return kept.length === count ? next : pick(next, kept)!;
+}
+
+/** Keys at times of their own, as to whole frames. */
+export function retimeKeys(curve: EditCurve, indices: Uint32Array, time: (time: number) => number): Keyed {
+  if (indices.length === 0) return { curve, indices };
+  const own = pick(curve, indices)!;
+  const times = own.times.map(time);
+  const order = [...times.keys()].sort((a, b) => times[a] - times[b] || a - b);
+  const sorted = pick({ ...own, times }, order)!;
+  return refreshed(merge(pick(curve, without(curve.times.length, indices)), orderly(sorted)));
+}
+
+/** The keys, and copies of them moved by some seconds; the copies are what is returned as worked on. */
+export function duplicateKeys(curve: EditCurve, indices: Uint32Array, shiftTime: number): Keyed {
+  if (indices.length === 0) return { curve, indices };
+  const own = pick(curve, indices)!;
+  return refreshed(merge(curve, changed(own, allKeys(own), { ...STILL, shiftTime }, null)));
+}
+
+/** From the first of these keys on, all. */
+export function ripple(curve: EditCurve, indices: Uint32Array): Uint32Array {
+  const first = indices.length > 0 ? indices[0] : curve.times.length;
+  return Uint32Array.from({ length: curve.times.length - first }, (_, n) => first + n);
+}
+
+/** Null where no key is left. */
+export function deleteKeys(curve: EditCurve, indices: Uint32Array): EditCurve | null {
+  const rest = pick(curve, without(curve.times.length, indices));
+  return rest && refreshTangents(rest);
+}
+
+// ---- one key ---------------------------------------------------------------------------------------------------------
+
+/** Values at a time. */
+export function valueAt(curve: EditCurve, time: number): Float64Array {
+  const out = new Float64Array(curve.components);
+  new Curve(curve).sample(time, out, 0);
+  return out;
+}
+
+/**
+ * A key more at a time, through which the curve goes as before: exactly where its span is of steps, lines or cubics. Sides
+ * beside it that would follow their neighbours stay as they are from now on.
+ */
+export function insertKey(curve: EditCurve, time: number): Keyed {
+  const { times, components: width } = curve;
+  const near = keyFrom(times, time - SAME_TIME);
+  if (near < times.length && Math.abs(times[near] - time) <= SAME_TIME) return { curve, indices: Uint32Array.of(near) };
+  const inside = time > times[0] && time < times[times.length - 1];
+  const k = keyBefore(times, time);
+  const value = valueAt(curve, time);
+  if (curve.kind === "rotation") unit(value, 0, 15);
+  const one: Draft = { ...pick(curve, [k])!, times: Float64Array.of(time), values: value };
+  if (!inside) {
+    const { curve: longer, indices } = merge(curve, one);
+    return refreshed({ curve: longer, indices });
+  }
+  const { curve: longer, indices } = merge(curve, one);
+  const draft = draftOf(longer);
+  const at = indices[0], mode = draft.modes[at];
+  for (let c = 0; c < width; c++) {
+    if (mode === Mode.Bezier) splitBezier(curve, draft, at, c);
+    else if (mode === Mode.Hermite) splitHermite(curve, draft, at, c);
+  }
+  if (draft.types && (mode === Mode.Bezier || mode === Mode.Hermite)) {
+    const kept = (type: number) => (type === Tangent.Vector || type === Tangent.Free ? Tangent.Free : Tangent.Aligned);
+    draft.types[2 * (at - 1) + 1] = kept(draft.types[2 * (at - 1) + 1]);
+    draft.types[2 * (at + 1)] = kept(draft.types[2 * (at + 1)]);
+    draft.types[2 * at] = draft.types[2 * at + 1] = Tangent.Aligned;
+  }
+  return { curve: draft, indices };
+}
+
+function splitHermite(curve: EditCurve, draft: Draft, at: number, c: number): void {
+  const width = curve.components, i = (at - 1) * width + c, j = i + width;
+  const start = curve.times[at - 1], span = curve.times[at] - start, u = (draft.times[at] - start) / span, v = 1 - u;
+  const slope =
+    6 * u * v * ((curve.values[j] - curve.values[i]) / span) +
+    v * (1 - 3 * u) * curve.outTangents![i] +
+    u * (1 - 3 * v) * curve.inTangents![j];
+  draft.inTangents![at * width + c] = draft.outTangents![at * width + c] = slope;
+}
+
+function splitBezier(curve: EditCurve, draft: Draft, at: number, c: number): void {
+  const width = curve.components, i = (at - 1) * width + c, j = i + width;
+  const span = curve.times[at] - curve.times[at - 1], s = (draft.times[at] - curve.times[at - 1]) / span;
+  const { outHandles, inHandles, values } = curve;
+  const out = handleShare(outHandles![2 * i], span), back = handleShare(inHandles![2 * j], span);
+  const x = [0, out * outHandles![2 * i], span + back * inHandles![2 * j], span];
+  const y = [values[i], values[i] + out * outHandles![2 * i + 1], values[j] + back * inHandles![2 * j + 1], values[j]];
+  const u = bezierParameter(x[1] / span, x[2] / span, s);
+  const mix = (a: number, b: number) => a + u * (b - a);
+  // De Casteljau
+  const first = [mix(x[0], x[1]), mix(y[0], y[1])], middle = [mix(x[1], x[2]), mix(y[1], y[2])], third = [mix(x[2], x[3]), mix(y[2], y[3])];
+  const left = [mix(first[0], middle[0]), mix(first[1], middle[1])], right = [mix(middle[0], third[0]), mix(middle[1], third[1])];
+  const n = at * width + c, time = s * span, value = draft.values[n];
+  const set = (handles: Float64Array, o: number, dt: number, dv: number, sign: number) => {
+    handles[2 * o] = sign * Math.max(0, sign * dt);
+    handles[2 * o + 1] = dv;
+  };
+  set(draft.outHandles!, n - width, first[0], first[1] - y[0], 1);
+  set(draft.inHandles!, n, left[0] - time, left[1] - value, -1);
+  set(draft.outHandles!, n, right[0] - time, right[1] - value, 1);
+  set(draft.inHandles!, n + width, third[0] - span, third[1] - y[3], -1);
+}
+
+/**
+ * One side (0 before, 1 after the key) of one component set by hand: seconds and value from the key to its handle. A side
+ * that followed its neighbours becomes aligned, one that pointed to a neighbour free; the other side stays in line where
+ * it is aligned.
+ */
+export function setHandle(curve: EditCurve, key: number, component: number, side: 0 | 1, seconds: number, value: number): EditCurve {
+  const width = curve.components, n = key * width + component, end = curve.times.length - 1;
+  const span = side === 0 ? (key > 0 ? curve.modes[key - 1] : curve.modes[0]) : curve.modes[Math.min(key, Math.max(0, end - 1))];
+  const draft = draftOf(withTypes(curve));
+  const types = draft.types!;
+  const soft = (type: number) => (type === Tangent.Vector ? Tangent.Free : type === Tangent.Free ? Tangent.Free : Tangent.Aligned);
+  types[2 * key + side] = soft(types[2 * key + side]);
+  const other = (1 - side) as 0 | 1;
+  const together = types[2 * key + side] === Tangent.Aligned;
+  if (together) types[2 * key + other] = soft(types[2 * key + other]);
+  const dt = side === 0 ? Math.min(0, seconds) : Math.max(0, seconds);
+  if (draft.inHandles && draft.outHandles && span === Mode.Bezier) {
+    const mine = side === 0 ? draft.inHandles : draft.outHandles, theirs = side === 0 ? draft.outHandles : draft.inHandles;
+    mine[2 * n] = dt;
+    mine[2 * n + 1] = value;
+    if (together && types[2 * key + other] === Tangent.Aligned) {
+      if (dt !== 0) theirs[2 * n + 1] = (value / dt) * theirs[2 * n];
+      else if (value !== 0) {
+        // straight up: as long as it was, on the other side
+        const reach = Math.abs(theirs[2 * n + 1]) || Math.abs(value);
+        theirs[2 * n] = 0;
+        theirs[2 * n + 1] = -Math.sign(value) * reach;
+      }
+    }
+  }
+  if (draft.inTangents && draft.outTangents && dt !== 0) {
+    (side === 0 ? draft.inTangents : draft.outTangents)[n] = value / dt;
+    if (together && types[2 * key + other] === Tangent.Aligned) (side === 0 ? draft.outTangents : draft.inTangents)[n] = value / dt;
+  }
+  return draft;
+}
+
+// ---- modes, types, ends ----------------------------------------------------------------------------------------------
+
+/** The spans that start at these keys, in another mode. Hermite becomes Bezier exactly; lines and steps get soft sides. */
+export function setMode(curve: EditCurve, indices: Uint32Array, mode: Mode): EditCurve {
+  if (!modesOf(curve.kind).includes(mode)) return curve;
+  const cubic = mode === Mode.Bezier || mode === Mode.Hermite;
+  let next = mode === Mode.Bezier ? withHandles(curve) : mode === Mode.Hermite ? withTangents(curve) : curve;
+  if (cubic) next = withTypes(next);
+  const draft = draftOf(next);
+  const { types, times, components: width } = draft;
+  for (const k of indices) {
+    const old = draft.modes[k];
+    draft.modes[k] = mode;
+    if (!cubic || old === mode || k + 1 >= times.length) continue;
+    const third = (times[k + 1] - times[k]) / 3;
+    if (old === Mode.Hermite || old === Mode.Bezier) {
+      for (let c = 0; c < width; c++)
+        for (const [n, side] of [[k * width + c, 1], [(k + 1) * width + c, 0]] as const) {
+          const tangents = side ? draft.outTangents : draft.inTangents, handles = side ? draft.outHandles : draft.inHandles;
+          if (!tangents || !handles) continue;
+          if (mode === Mode.Bezier) {
+            handles[2 * n] = side ? third : -third;
+            handles[2 * n + 1] = handles[2 * n] * tangents[n];
+          } else if (handles[2 * n] !== 0) tangents[n] = handles[2 * n + 1] / handles[2 * n];
+        }
+      continue;
+    }
+    if (types![2 * k + 1] === Tangent.Free) types![2 * k + 1] = Tangent.Clamped;
+    if (types![2 * k + 2] === Tangent.Free) types![2 * k + 2] = Tangent.Clamped;
+  }
+  refresh(draft, 0, times.length - 1);
+  return draft;
+}
+
+/** Sides of keys (0 before, 1 after, both where it is not said) of another type; spans of lines and steps become Bezier. */
+export function setType(curve: EditCurve, indices: Uint32Array, type: Tangent, side?: 0 | 1): EditCurve {
+  const smooth: Mode = curve.kind === "rotation" ? Mode.Hermite : Mode.Bezier;
+  if (!modesOf(curve.kind).includes(smooth)) return curve;
+  const flat = (k: number) => k >= 0 && k + 1 < curve.times.length && curve.modes[k] !== Mode.Bezier && curve.modes[k] !== Mode.Hermite;
+  const spans = new Set<number>();
+  for (const k of indices) {
+    if (side !== 1 && flat(k - 1)) spans.add(k - 1);
+    if (side !== 0 && flat(k)) spans.add(k);
+  }
+  const draft = draftOf(withTypes(spans.size > 0 ? setMode(curve, Uint32Array.from(spans).sort(), smooth) : curve));
+  const types = draft.types!;
+  for (const k of indices) {
+    if (side !== 1) types[2 * k] = type;
+    if (side !== 0) types[2 * k + 1] = type;
+    if (type === Tangent.Aligned) align(draft, k);
+  }
+  refresh(draft, 0, draft.times.length - 1);
+  return draft;
+}
+
+/** Both sides of a key in one line: the mean of their directions. */
+function align(draft: Draft, k: number): void {
+  const { components: width, inHandles, outHandles, inTangents, outTangents } = draft;
+  for (let c = 0; c < width; c++) {
+    const n = k * width + c;
+    if (inTangents && outTangents) inTangents[n] = outTangents[n] = (inTangents[n] + outTangents[n]) / 2;
+    if (!inHandles || !outHandles || inHandles[2 * n] === 0 || outHandles[2 * n] === 0) continue;
+    const slope = (inHandles[2 * n + 1] / inHandles[2 * n] + outHandles[2 * n + 1] / outHandles[2 * n]) / 2;
+    inHandles[2 * n + 1] = slope * inHandles[2 * n];
+    outHandles[2 * n + 1] = slope * outHandles[2 * n];
+  }
+}
+
+export function setExtrapolation(curve: EditCurve, before: string | null, after: string | null): EditCurve {
+  return { ...curve, before: before ?? curve.before, after: after ?? curve.after };
+}
+
+/** Handles of the spans from each of these keys to the next, as shares of span and change: CSS's cubic-bezier(x1, y1, x2, y2). */
+export function setEase(curve: EditCurve, indices: Uint32Array, ease: readonly [number, number, number, number]): EditCurve {
+  if (!modesOf(curve.kind).includes(Mode.Bezier)) return curve;
+  const draft = draftOf(withTypes(withHandles(curve)));
+  const { times, values, components: width, types } = draft;
+  const [x1, y1, x2, y2] = ease;
+  for (const k of indices) {
+    if (k + 1 >= times.length) continue;
+    draft.modes[k] = Mode.Bezier;
+    types![2 * k + 1] = types![2 * k + 2] = Tangent.Free;
+    const span = times[k + 1] - times[k];
+    for (let c = 0; c < width; c++) {
+      const n = k * width + c, m = n + width, change = values[m] - values[n];
+      draft.outHandles![2 * n] = x1 * span;
+      draft.outHandles![2 * n + 1] = y1 * change;
+      draft.inHandles![2 * m] = (x2 - 1) * span;
+      draft.inHandles![2 * m + 1] = (y2 - 1) * change;
+    }
+  }
+  refresh(draft, 0, times.length - 1);
+  return draft;
+}
+
+/** Named eases, as cubic Beziers over a span. */
+export const EASES: Readonly<Record<string, readonly [number, number, number, number]>> = {
+  "Slow in": [0.42, 0, 1, 1],
+  "Slow out": [0, 0, 0.58, 1],
+  "Slow in and out": [0.42, 0, 0.58, 1],
+  "Strong in": [0.7, 0, 0.84, 0],
+  "Strong out": [0.16, 1, 0.3, 1],
+  "Strong in and out": [0.87, 0, 0.13, 1],
+  Anticipate: [0.36, 0, 0.66, -0.56],
+  Overshoot: [0.34, 1.56, 0.64, 1],
+};
+
+// ---- copy and paste --------------------------------------------------------------------------------------------------
+
+/** Copied keys; times of all count from the first of them. */
+export interface Clipboard {
+  readonly length: number;
+  readonly curves: readonly EditCurve[];
+}
+
+export function copyKeys(picked: readonly { readonly curve: EditCurve; readonly indices: Uint32Array }[]): Clipboard | null {
+  const curves = picked.flatMap(({ curve, indices }) => pick(curve, indices) ?? []);
+  if (curves.length === 0) return null;
+  const start = Math.min(...curves.map((c) => c.times[0])), end = Math.max(...curves.map((c) => c.times[c.times.length - 1]));
+  return { length: end - start, curves: curves.map((c) => ({ ...c, times: c.times.map((t) => t - start) })) };
+}
+
+export interface PasteOptions {
+  /** Seconds where the first of all keys goes. */
+  readonly at: number;
+  /** Backwards in time. */
+  readonly mirrored?: boolean;
+  /** Values moved so that the first goes on from the curve. */
+  readonly offset?: boolean;
+  /** Keys of the curve that lie between the first and the last of the copy are taken away. */
+  readonly overwrite?: boolean;
+}
+
+/** Copied keys of one channel put into a curve of it (or one like it), or as a new curve of `channel`. */
+export function pasteKeys(curve: EditCurve | null, copied: EditCurve, length: number, channel: EditCurve["channel"], options: PasteOptions): Keyed {
+  const { at, mirrored = false, offset = false, overwrite = false } = options;
+  const all = allKeys(copied);
+  const moved = changed(copied, all, { ...STILL, scaleTime: mirrored ? -1 : 1, shiftTime: mirrored ? at + length : at }, null);
+  let own: EditCurve = { ...orderly(moved), channel };
+  if (offset && curve && curve.kind !== "rotation" && curve.kind !== "boolean") {
+    const there = valueAt(curve, own.times[0]), first = own.values.slice(0, own.components), width = own.components;
+    own = { ...own, values: own.values.map((v, n) => v + there[n % width] - first[n % width]) };
+  }
+  let base = curve;
+  if (base && overwrite) {
+    const { times } = base;
+    const from = keyFrom(times, own.times[0] - SAME_TIME), to = keyFrom(times, own.times[own.times.length - 1] + SAME_TIME);
+    base = pick(base, without(times.length, Uint32Array.from({ length: Math.max(0, to - from) }, (_, n) => from + n)));
+  }
+  const ends = base ?? curve;
+  return refreshed(merge(base, ends ? { ...own, before: ends.before, after: ends.after } : own));
+}
