@@ -1,6 +1,6 @@
 // Generated from src/keypose/studio/messages.py by `python -m keypose.studio.typescript`. Do not edit.
 
-export const PROTOCOL = 2;
+export const PROTOCOL = 3;
 
 /** An array in the body of the container: bytes ``offset`` to ``offset + bytes``, row-major. */
 export interface ArrayRef {
@@ -8,6 +8,13 @@ export interface ArrayRef {
   bytes: number;
   element: "float32" | "float64" | "uint8" | "uint16" | "uint32" | "int32";
   shape: number[];
+}
+
+/** A scene that can be fetched, and how many bytes it is. */
+export interface SceneEntry {
+  id: string;
+  name: string;
+  bytes: number;
 }
 
 /** Joints, parents before children; rest translations (J, 3), rotations (J, 4) wxyz, scales (J, 3). */
@@ -101,7 +108,7 @@ export interface CurveData {
   after: string;
 }
 
-/** Sparse animation: curves, and the order of Euler angles of the joints that have another than `EULER_ORDER`. */
+/** Sparse animation: curves; ``euler_orders`` by joint, XYZ for those not named. */
 export interface ClipData {
   kind: "clip";
   name: string;
@@ -142,11 +149,352 @@ export interface SceneData {
   animations: (ClipData | MotionData)[];
 }
 
-/** A scene that can be fetched, and how many bytes it is. */
-export interface SceneEntry {
+/** What a curve drives, without the curve. */
+export interface ChannelData {
+  target: string;
+  property: "translation" | "rotation" | "euler" | "scale" | "weight" | "value";
+  component: number | null;
+}
+
+/** A clip of the project with all its curves. */
+export interface ProjectClip {
+  name: string;
+  rate_hz: number | null;
+  curves: CurveData[];
+  euler_orders: Record<string, string>;
+}
+
+/** As `keypose.model.Placement`; curves of time and weight drive no channel. */
+export interface PlacementData {
+  animation: string;
+  start_s: number;
+  in_s: number | null;
+  out_s: number | null;
+  speed: number;
+  cycles: number;
+  fade_in_s: number;
+  fade_out_s: number;
+  time_warp: CurveData | null;
+  weight: CurveData | null;
+  hold: boolean;
+  muted: boolean;
+}
+
+/** As `keypose.model.Layer`; ``joints`` is empty and ``properties`` null for all. */
+export interface LayerData {
+  name: string;
+  placements: PlacementData[];
+  mode: "replace" | "add";
+  influence: number | CurveData;
+  joints: Record<string, number>;
+  properties: ("translation" | "rotation" | "euler" | "scale" | "weight" | "value")[] | null;
+  muted: boolean;
+  solo: boolean;
+  locked: boolean;
+}
+
+/** A named moment on a timeline. */
+export interface TimeMarker {
+  time_s: number;
+  name: string;
+}
+
+/** As `keypose.model.Timeline`; layers lowest first. */
+export interface TimelineData {
+  name: string;
+  layers: LayerData[];
+  rate_hz: number;
+  start_s: number;
+  end_s: number;
+  hold_frames: number;
+  markers: TimeMarker[];
+}
+
+/** A joint's local transform; rotation wxyz. */
+export interface JointTransform {
+  translation: number[];
+  rotation: number[];
+  scale: number[];
+}
+
+/** A pose of the library, by names of joints and morphs. */
+export interface PoseData {
+  name: string;
+  joints: Record<string, JointTransform>;
+  morphs: Record<string, number>;
+}
+
+/** A character; ``GET api/scenes/{scene.id}`` holds its mesh. ``timeline`` moves it, empty for none. */
+export interface ProjectCharacter {
+  name: string;
+  scene: SceneEntry;
+  timeline: string;
+}
+
+/** Where the project stands; in every message about it. */
+export interface ProjectStatus {
+  name: string;
+  path: string;
+  revision: number;
+  saved_revision: number;
+  undo: string;
+  redo: string;
+}
+
+/** A project that was not saved before its studio ended; ``changed_s`` is seconds since 1970. */
+export interface Recoverable {
   id: string;
   name: string;
+  path: string;
+  edits: number;
+  changed_s: number;
+}
+
+/** The whole project; sent to a page that watches, and whenever another project takes its place. */
+export interface ProjectState {
+  type: "project_state";
+  status: ProjectStatus;
+  characters: ProjectCharacter[];
+  clips: ProjectClip[];
+  timelines: TimelineData[];
+  poses: PoseData[];
+  settings: Record<string, string | number | boolean>;
+  recoverable: Recoverable[];
+  operators: string[];
+  exports: string[];
+  folder: string;
+}
+
+/** What changed in a clip: its curves now, and channels that have none any more; the clip is made where it was not. */
+export interface ClipChange {
+  name: string;
+  rate_hz: number | null;
+  euler_orders: Record<string, string>;
+  curves: CurveData[];
+  removed: ChannelData[];
+}
+
+/** The difference of two documents, and where the project stands now. */
+export interface ProjectChanged {
+  type: "project_changed";
+  status: ProjectStatus;
+  edit: string;
+  label: string;
+  cause: "edit" | "undo" | "redo" | "save";
+  clips: ClipChange[];
+  removed_clips: string[];
+  timelines: TimelineData[];
+  removed_timelines: string[];
+  poses: PoseData[];
+  removed_poses: string[];
+  characters: ProjectCharacter[] | null;
+  settings: Record<string, string | number | boolean> | null;
+}
+
+/** A project was not saved, for a reason that a person can decide about; say it again with ``force`` to do it. */
+export interface ProjectNotSaved {
+  type: "project_not_saved";
+  path: string;
+  reason: "exists" | "changed" | "locked" | "failed";
+  message: string;
+}
+
+/** A project in a folder. */
+export interface FolderFile {
+  name: string;
   bytes: number;
+  changed_s: number;
+}
+
+/** What a dialog to open or save shows: the folders and projects of a folder. */
+export interface ProjectFolder {
+  type: "project_folder";
+  folder: string;
+  parent: string;
+  folders: string[];
+  files: FolderFile[];
+}
+
+export type ProjectMessage = ProjectState | ProjectChanged | ProjectNotSaved | ProjectFolder;
+
+/** Send the project, and from now on what changes in it. */
+export interface ProjectWatch {
+  type: "project_watch";
+}
+
+/** Begin a project, with a character where ``character`` is ``sample:NAME`` or the id of a scene. */
+export interface ProjectNew {
+  type: "project_new";
+  name: string;
+  character: string;
+  discard: boolean;
+}
+
+/** Open a project file instead. */
+export interface ProjectOpen {
+  type: "project_open";
+  path: string;
+  discard: boolean;
+}
+
+/** Save under a path, or where it was saved before (``path`` is null); ``force`` overwrites what is there. */
+export interface ProjectSave {
+  type: "project_save";
+  path: string | null;
+  force: boolean;
+}
+
+/** One step back. */
+export interface ProjectUndo {
+  type: "project_undo";
+}
+
+/** One step forward again. */
+export interface ProjectRedo {
+  type: "project_redo";
+}
+
+/** Go on with a project that was not saved before its studio ended. */
+export interface ProjectRecover {
+  type: "project_recover";
+  id: string;
+}
+
+/** Nobody wants what could be recovered. */
+export interface ProjectDiscard {
+  type: "project_discard";
+  id: string;
+}
+
+/** Add a built-in character (``sample:human``) or those of an opened scene (its id), each with a timeline and a clip. */
+export interface ProjectAddCharacter {
+  type: "project_add_character";
+  source: string;
+}
+
+/** Remove a character; its timeline and clips stay. */
+export interface ProjectRemoveCharacter {
+  type: "project_remove_character";
+  name: string;
+}
+
+/** Copy an animation of an opened scene (its id, or ``sample:NAME``) into the project, as keys; -1 for all of them. */
+export interface ProjectImportClip {
+  type: "project_import_clip";
+  source: string;
+  animation: number;
+}
+
+/** List the projects of a folder; empty for where the studio was started. */
+export interface ProjectBrowse {
+  type: "project_browse";
+  folder: string;
+}
+
+export type ProjectRequest = ProjectWatch | ProjectNew | ProjectOpen | ProjectSave | ProjectUndo | ProjectRedo | ProjectRecover | ProjectDiscard | ProjectAddCharacter | ProjectRemoveCharacter | ProjectImportClip | ProjectBrowse;
+
+/** Curves of a clip that take the place of those of their channels, and channels that lose theirs. */
+export interface SetCurves {
+  kind: "set_curves";
+  clip: string;
+  curves: CurveData[];
+  removed: ChannelData[];
+  euler_orders: Record<string, string>;
+}
+
+/** A whole clip, in place of the one of its name. */
+export interface SetClip {
+  kind: "set_clip";
+  clip: ProjectClip;
+}
+
+/** Remove a clip and its placements. */
+export interface RemoveClip {
+  kind: "remove_clip";
+  name: string;
+}
+
+/** A whole timeline, in place of the one of its name; the clips that it places exist, or are made by the same edit. */
+export interface SetTimeline {
+  kind: "set_timeline";
+  timeline: TimelineData;
+}
+
+/** Remove a timeline; characters that it moves are moved by none. */
+export interface RemoveTimeline {
+  kind: "remove_timeline";
+  name: string;
+}
+
+/** A pose of the library, in place of the one of its name. */
+export interface SetPose {
+  kind: "set_pose";
+  pose: PoseData;
+}
+
+/** Remove a pose of the library. */
+export interface RemovePose {
+  kind: "remove_pose";
+  name: string;
+}
+
+/** Which timeline moves a character; empty for none. */
+export interface SetPerformance {
+  kind: "set_performance";
+  character: string;
+  timeline: string;
+}
+
+/** Give something another name; whatever names it follows. */
+export interface Rename {
+  kind: "rename";
+  what: "project" | "character" | "clip" | "timeline" | "pose";
+  name: string;
+  to: string;
+}
+
+/** Settings that an editor keeps with the project; null removes one. */
+export interface SetSettings {
+  kind: "set_settings";
+  settings: Record<string, string | number | boolean | null>;
+}
+
+export type EditCommand = SetCurves | SetClip | RemoveClip | SetTimeline | RemoveTimeline | SetPose | RemovePose | SetPerformance | Rename | SetSettings;
+
+/** Header of ``POST api/project/edit``: commands that are one step of undo, all or none. */
+export interface EditRequest {
+  type: "edit";
+  id: string;
+  label: string;
+  merge: string;
+  commands: (SetCurves | SetClip | RemoveClip | SetTimeline | RemoveTimeline | SetPose | RemovePose | SetPerformance | Rename | SetSettings)[];
+}
+
+/** Keys of a channel: indices (N,) uint32, rising; null for all. */
+export interface KeyChoice {
+  channel: ChannelData;
+  keys: ArrayRef | null;
+}
+
+/** Header of ``POST api/project/operate``: run an operator on channels of a clip; one step of undo. */
+export interface OperateRequest {
+  type: "operate";
+  id: string;
+  operator: string;
+  clip: string;
+  character: string;
+  channels: KeyChoice[];
+  start_s: number | null;
+  end_s: number | null;
+  parameters: Record<string, string | number | boolean | number[]>;
+}
+
+/** Answer to an edit or operator, once it cannot be lost any more; ``error`` is empty where it was done. */
+export interface EditResult {
+  id: string;
+  revision: number;
+  error: string;
+  report: string;
 }
 
 /** An animation graph that can be played. */
@@ -164,8 +512,9 @@ export interface Hello {
   scenes: SceneEntry[];
   expected: number;
   graphs: GraphEntry[];
-  start: "view" | "play";
+  start: "view" | "play" | "edit";
   graph: string;
+  recoverable: number;
 }
 
 /** A scene was opened. */
@@ -543,12 +892,12 @@ export interface CrowdAcknowledge {
 
 export type CrowdRequest = CrowdOpen | CrowdBehave | CrowdPace | CrowdView | CrowdAcknowledge;
 
-export type ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake;
+export type ServerMessage = Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake | ProjectState | ProjectChanged | ProjectNotSaved | ProjectFolder;
 
 /** A server message and its number; the browser acknowledges the number. */
 export interface Envelope {
   sequence: number;
-  message: Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake;
+  message: Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake | ProjectState | ProjectChanged | ProjectNotSaved | ProjectFolder;
 }
 
-export type ClientMessage = Acknowledge | CloseScene | OpenSample | PlayOpen | PlayClose | PlayInput | PlayAcknowledge | PlayPace | PlayStep | PlayReset | PlayExplain | PlayRecord;
+export type ClientMessage = Acknowledge | CloseScene | OpenSample | PlayOpen | PlayClose | PlayInput | PlayAcknowledge | PlayPace | PlayStep | PlayReset | PlayExplain | PlayRecord | ProjectWatch | ProjectNew | ProjectOpen | ProjectSave | ProjectUndo | ProjectRedo | ProjectRecover | ProjectDiscard | ProjectAddCharacter | ProjectRemoveCharacter | ProjectImportClip | ProjectBrowse;

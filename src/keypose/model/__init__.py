@@ -16,6 +16,7 @@ from keypose.model.curve import (
     Property,
     Tangent,
 )
+from keypose.model.document import Document, StoredPose
 from keypose.model.labels import Tier
 from keypose.model.markers import ForcePlate, Markers, Signals
 from keypose.model.mesh import Image, Material, Mesh, MorphSet, Skin, SkinningMethod
@@ -30,6 +31,7 @@ __all__ = [
     "Clip",
     "Curve",
     "CurveKind",
+    "Document",
     "Event",
     "Extrapolation",
     "ForcePlate",
@@ -52,6 +54,7 @@ __all__ = [
     "Skeleton",
     "Skin",
     "SkinningMethod",
+    "StoredPose",
     "Tangent",
     "Tier",
     "Timeline",

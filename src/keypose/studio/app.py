@@ -8,6 +8,7 @@ WS        ``/api/crowd?token=…``     a crowd, see `keypose.studio.crowd`
 GET       ``/api/scenes/{id}``       one scene as a binary container
 POST      ``/api/scenes``            dropped files as a binary container
 GET       ``/api/takes/{id}/{kind}`` a recording of the play page as a file: glb or bvh
+POST      ``/api/project/edit``      a change of the project, see `keypose.studio.edit_messages`
 ========  =========================  ======================================================
 
 Only these exist. Static files are read into memory at start and looked up by their exact path, so there is no path to
@@ -19,7 +20,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
@@ -29,6 +30,8 @@ from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import messages
 from keypose.studio.crowd import crowd_events
+from keypose.studio.edit_messages import ProjectRequest
+from keypose.studio.edit_wire import EDIT_LIMIT_BYTES
 from keypose.studio.requests import parse_request
 from keypose.studio.session import Session
 
@@ -100,19 +103,11 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
 
     async def upload(request: Request) -> Response:
         limit = session.upload_limit_bytes
-        too_large = JSONResponse(
-            {"opened": [], "errors": [f"more than {limit / 2**20:.0f} MiB cannot be dropped"]}, 413
-        )
-        announced = request.headers.get("content-length", "0")
-        if not announced.isdigit() or int(announced) > limit:
-            return too_large
-        data = bytearray()
-        async for chunk in request.stream():
-            data += chunk
-            if len(data) > limit:
-                return too_large
+        data = await _received(request, limit)
+        if data is None:
+            return JSONResponse({"opened": [], "errors": [f"more than {limit / 2**20:.0f} MiB cannot be dropped"]}, 413)
         try:
-            result = await session.open_upload(bytes(data))
+            result = await session.open_upload(data)
         except KeyposeError as error:
             return JSONResponse({"opened": [], "errors": [str(error)]}, 400)
         return JSONResponse(dataclasses.asdict(result))
@@ -127,6 +122,14 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             return PlainTextResponse(f"{error}\n", 422)
         return Response(data, media_type="application/octet-stream")
 
+    async def edit(request: Request) -> Response:
+        data = await _received(request, EDIT_LIMIT_BYTES)
+        if data is None:
+            error = f"more than {EDIT_LIMIT_BYTES / 2**20:.0f} MiB cannot be edited at once"
+            return JSONResponse({"id": "", "revision": 0, "error": error, "report": ""}, 413)
+        result = await session.editing.edit(data)
+        return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
+
     return Starlette(
         routes=[
             Route("/", page),
@@ -135,9 +138,23 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             Route("/api/scenes/{id}", scene),
             Route("/api/scenes", upload, methods=["POST"]),
             Route("/api/takes/{id}/{kind}", take),
+            Route("/api/project/edit", edit, methods=["POST"]),
             Route("/{path:path}", asset),
         ]
     )
+
+
+async def _received(request: Request, limit: int) -> bytes | None:
+    """The body of a request; None where it is larger than the limit, announced or not."""
+    announced = request.headers.get("content-length", "0")
+    if not announced.isdigit() or int(announced) > limit:
+        return None
+    data = bytearray()
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > limit:
+            return None
+    return bytes(data)
 
 
 def written(scene: Scene, kind: str) -> bytes:
@@ -166,21 +183,29 @@ async def _events(session: Session, socket: WebSocket) -> None:
 
     sender = asyncio.create_task(send())
     tasks: set[asyncio.Task[None]] = set()  # the event loop itself keeps only weak references
+
+    def begin(work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
     try:
         async for text in socket.iter_text():
-            match parse_request(text):
+            request = parse_request(text)
+            if isinstance(request, ProjectRequest):
+                begin(session.editing.handle(outbox, request))
+                continue
+            match request:
                 case messages.Acknowledge(sequence=sequence):
                     outbox.acknowledge(sequence)
                 case messages.CloseScene(id=id):
                     session.close(id)
                 case messages.OpenSample(name=name):
-                    opening = asyncio.create_task(session.open_sample(name))
-                    tasks.add(opening)
-                    opening.add_done_callback(tasks.discard)
+                    begin(session.open_sample(name))
                 case None:
                     await socket.close(1003, "unknown message")
                     break
-                case request:
+                case _:
                     desk.handle(request)
     finally:
         desk.close()

@@ -1,7 +1,7 @@
 """What server and browser say to each other, as dataclasses.
 
-The TypeScript twins in ``client/src/generated/messages.ts`` are generated from this file and from
-`keypose.studio.scene_messages` (`keypose.studio.typescript`); a test keeps the two equal. Every message and every scene travels in one binary container (`keypose.studio.container`):
+The TypeScript twins in ``client/src/generated/messages.ts`` are generated from this file, `keypose.studio.scene_messages`
+and `keypose.studio.edit_messages` (`keypose.studio.typescript`); a test keeps the two equal. Every message and every scene travels in one binary container (`keypose.studio.container`):
 a JSON header, which is one of these dataclasses, and aligned arrays, which the header names by `ArrayRef`.
 """
 
@@ -10,21 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from keypose.studio.scene_messages import ArrayRef, MorphData
+from keypose.studio.edit_messages import ProjectMessage, ProjectRequest
+from keypose.studio.scene_messages import ArrayRef, MorphData, SceneEntry
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of the messages; the client refuses another one and says so."""
 
 # ---- server to browser -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class SceneEntry:
-    """A scene that can be fetched, and how many bytes it is."""
-
-    id: str
-    name: str
-    bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +39,11 @@ class Hello:
     expected: int
     """How many scenes will be there once those still being prepared are ready."""
     graphs: list[GraphEntry]
-    start: Literal["view", "play"]
+    start: Literal["view", "play", "edit"]
     graph: str
     """Id of the graph that is played first."""
+    recoverable: int
+    """How many projects were not saved before their studio ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -570,7 +564,17 @@ CrowdRequest = CrowdOpen | CrowdBehave | CrowdPace | CrowdView | CrowdAcknowledg
 
 
 ServerMessage = (
-    Hello | SceneReady | SceneClosed | Progress | Failure | Notice | GraphReady | PlayReady | PlayFrame | PlayTake
+    Hello
+    | SceneReady
+    | SceneClosed
+    | Progress
+    | Failure
+    | Notice
+    | GraphReady
+    | PlayReady
+    | PlayFrame
+    | PlayTake
+    | ProjectMessage
 )
 
 
@@ -582,4 +586,4 @@ class Envelope:
     message: ServerMessage
 
 
-ClientMessage = Acknowledge | CloseScene | OpenSample | PlayRequest
+ClientMessage = Acknowledge | CloseScene | OpenSample | PlayRequest | ProjectRequest

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from keypose.io.native_values import curve_json
 from keypose.model import (
-    Channel,
     Character,
     Clip,
-    Curve,
     Image,
     Material,
     MorphSet,
@@ -25,38 +24,12 @@ from keypose.studio import scene_messages as messages
 from keypose.studio.container import Body, pack
 
 INFLUENCES = 4
+_ELEMENT_OF = {np.float64: "float64", np.float32: "float32", np.uint8: "uint8"}
 
 
 def encode(scene: Scene, *, id: str, name: str) -> bytes:
     """The container of a scene; arrays go to float32, curve times stay float64."""
     return _Encoder().scene(scene, id, name)
-
-
-def curve_data(body: Body, channel: Channel, curve: Curve) -> messages.CurveData:
-    """A curve, its arrays added to a body: every number as the curve holds it."""
-
-    def floats(array: Any) -> messages.ArrayRef:
-        return body.add(array, "float64" if array.dtype == np.float64 else "float32")
-
-    def optional(array: Any) -> messages.ArrayRef | None:
-        return None if array is None else floats(array)
-
-    return messages.CurveData(
-        target=channel.target,
-        property=channel.property.value,  # type: ignore[arg-type]
-        component=channel.component,
-        kind=curve.kind.value,  # type: ignore[arg-type]
-        times=body.add(curve.times_s, "float64"),
-        values=floats(curve.values),
-        modes=body.add(curve.modes, "uint8"),
-        in_tangents=optional(curve.in_tangents),
-        out_tangents=optional(curve.out_tangents),
-        in_handles=optional(curve.in_handles),
-        out_handles=optional(curve.out_handles),
-        types=None if curve.tangent_types is None else body.add(curve.tangent_types, "uint8"),
-        before=curve.before.value,
-        after=curve.after.value,
-    )
 
 
 class _Encoder:
@@ -188,13 +161,16 @@ class _Encoder:
         )
 
     def _clip(self, clip: Clip) -> messages.ClipData:
+        def store(array: Any) -> messages.ArrayRef:
+            return self.body.add(array, _ELEMENT_OF[array.dtype.type])
+
         return messages.ClipData(
             kind="clip",
             name=clip.name,
             start_s=clip.start_s,
             duration_s=clip.duration_s,
             rate_hz=clip.rate_hz,
-            curves=[curve_data(self.body, channel, curve) for channel, curve in clip.curves.items()],
+            curves=[messages.CurveData(**curve_json(channel, curve, store)) for channel, curve in clip.curves.items()],
             euler_orders=dict(clip.euler_orders),
         )
 

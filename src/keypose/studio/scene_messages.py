@@ -21,6 +21,15 @@ class ArrayRef:
     shape: list[int]
 
 
+@dataclass(frozen=True, slots=True)
+class SceneEntry:
+    """A scene that can be fetched, and how many bytes it is."""
+
+    id: str
+    name: str
+    bytes: int
+
+
 # ---- a scene ---------------------------------------------------------------------------------------------------------
 
 
@@ -115,8 +124,9 @@ class CharacterData:
 class CurveData:
     """Keyframes of one property; the client evaluates them exactly as `keypose.evaluate.sample_curve` does.
 
-    Times (K,) float64, values and tangents (K, C) in the precision of the file, modes (K,), handles (K, C, 2) seconds and
-    value from the key, types (K, 2) of the side before and after each key.
+    Times (K,) float64; values and tangents (K, C) and handles (K, C, 2) in the precision of the file (of a project always
+    float64); modes (K,) and tangent types (K, 2) uint8, numbers of `keypose.model.Interpolation` and `Tangent`.
+    ``component``: the one that the curve drives alone, else null. The fields are those of `keypose.io.native_values`.
     """
 
     target: str
@@ -137,7 +147,7 @@ class CurveData:
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """Sparse animation: curves, and the order of Euler angles of the joints that have another than `EULER_ORDER`."""
+    """Sparse animation: curves; ``euler_orders`` by joint, XYZ for those not named."""
 
     kind: Literal["clip"]
     name: str

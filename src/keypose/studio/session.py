@@ -15,6 +15,7 @@ from keypose import __version__
 from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import messages
+from keypose.studio.editing import Editing
 from keypose.studio.outbox import Outbox
 from keypose.studio.payload import encode
 from keypose.studio.uploads import open_upload
@@ -29,25 +30,26 @@ UPLOAD_LIMIT_BYTES = 512 * 1024 * 1024
 class Session:
     """Scenes by id, kept as ready payloads, and graphs by id.
 
-    ``start``: whether pages begin with looking at scenes, or with playing the last of the graphs.
+    ``start``: whether pages begin with looking at scenes, with playing the last of the graphs, or with editing the project.
     """
 
     def __init__(
         self,
         upload_limit_bytes: int = UPLOAD_LIMIT_BYTES,
         graphs: Sequence[OpenedGraph] = (),
-        start: Literal["view", "play"] = "view",
+        start: Literal["view", "play", "edit"] = "view",
     ) -> None:
         self.upload_limit_bytes = upload_limit_bytes
         self.graphs = {opened.entry.id: opened for opened in graphs}
         self.desks: set[PlayDesk] = set()
         self.stages: dict[str, bytes] = {}
         self.takes: dict[str, Scene] = {}
-        self._start: Literal["view", "play"] = start
+        self._start: Literal["view", "play", "edit"] = start
         self._first_graph = graphs[-1].entry.id if graphs else ""
         self._take_numbers = itertools.count(1)
         self.outboxes: set[Outbox] = set()
-        self._scenes: dict[str, tuple[messages.SceneEntry, bytes]] = {}
+        self._scenes: dict[str, tuple[messages.SceneEntry, bytes, Scene]] = {}
+        self.editing = Editing(self)
         self._expected = 0
         self._ids = itertools.count(1)
         self._jobs = itertools.count(1)
@@ -58,7 +60,7 @@ class Session:
     def join(self) -> Outbox:
         """A new browser: it is greeted with what is open."""
         outbox = Outbox()
-        entries = [entry for entry, _ in self._scenes.values()]
+        entries = [entry for entry, _, _ in self._scenes.values()]
         outbox.put(
             messages.Hello(
                 type="hello",
@@ -70,6 +72,7 @@ class Session:
                 graphs=[opened.entry for opened in self.graphs.values()],
                 start=self._start,
                 graph=self._first_graph,
+                recoverable=0,
             )
         )
         self.outboxes.add(outbox)
@@ -78,6 +81,7 @@ class Session:
     def leave(self, outbox: Outbox) -> None:
         """A browser is gone."""
         self.outboxes.discard(outbox)
+        self.editing.leave(outbox)
 
     def broadcast(self, message: messages.ServerMessage, replaces: str | None = None) -> None:
         """Tell every browser."""
@@ -85,9 +89,14 @@ class Session:
             outbox.put(message, replaces)
 
     def payload(self, id: str) -> bytes | None:
-        """The container of a scene, or of the character that plays a graph; or None."""
+        """The container of a scene, or of a character that plays a graph or is edited; or None."""
         found = self._scenes.get(id)
-        return self.stages.get(id) if found is None else found[1]
+        return self.stages.get(id) or self.editing.payload(id) if found is None else found[1]
+
+    def scene(self, id: str) -> Scene | None:
+        """An opened scene."""
+        found = self._scenes.get(id)
+        return None if found is None else found[2]
 
     def next_take(self) -> str:
         """A new id for a recording."""
@@ -101,7 +110,7 @@ class Session:
         async with self._work:
             data = await asyncio.to_thread(encode, scene, id=id, name=name)
         entry = messages.SceneEntry(id, name, len(data))
-        self._scenes[id] = (entry, data)
+        self._scenes[id] = (entry, data, scene)
         self.broadcast(messages.SceneReady("scene_ready", entry))
         return entry
 

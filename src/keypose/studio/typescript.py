@@ -11,9 +11,19 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from keypose.studio import messages, scene_messages
+from keypose.studio import edit_messages, messages, scene_messages
 
 _PLAIN = {str: "string", int: "number", float: "number", bool: "boolean", type(None): "null"}
+
+_UNIONS = (
+    "ServerMessage",
+    "ClientMessage",
+    "CrowdMessage",
+    "CrowdRequest",
+    "ProjectMessage",
+    "ProjectRequest",
+    "EditCommand",
+)
 
 
 def typescript_type(annotation: Any) -> str:
@@ -42,13 +52,13 @@ def generate() -> str:
         "",
         f"export const PROTOCOL = {messages.PROTOCOL};",
     ]
-    for name, value in (vars(scene_messages) | vars(messages)).items():
+    for name, value in (vars(scene_messages) | vars(edit_messages) | vars(messages)).items():
         if dataclasses.is_dataclass(value) and isinstance(value, type):
             hints = typing.get_type_hints(value)
             lines += ["", f"/** {(value.__doc__ or '').strip().splitlines()[0]} */", f"export interface {name} {{"]
             lines += [f"  {field}: {typescript_type(hint)};" for field, hint in hints.items()]
             lines += ["}"]
-        elif name in ("ServerMessage", "ClientMessage", "CrowdMessage", "CrowdRequest"):
+        elif name in _UNIONS:
             lines += ["", f"export type {name} = {typescript_type(value)};"]
     return "\n".join(lines) + "\n"
 

@@ -1,0 +1,1 @@
+"""Projects: documents that commands change, with unlimited undo, saved in one file and kept safe by a journal."""

@@ -1,0 +1,380 @@
+"""Commands: what an edit does to a document, as values that can be written down and done again.
+
+Each has ``kind``, its name in JSON, and ``apply``. Applying makes a new document; nothing is changed in place. A command
+that cannot be applied raises a `KeyposeError` that says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, ClassVar, Protocol
+
+from keypose.errors import KeyposeError, ShapeError
+from keypose.io import native_values as values
+from keypose.io.json_values import Json
+from keypose.io.native_characters import character_json, read_character
+from keypose.io.native_values import Fetch, Store
+from keypose.model import Channel, Character, Clip, Curve, Document, Motion, Placement, StoredPose, Timeline
+from keypose.project.document import add_character, check, check_name, import_animation, renamed
+
+
+class Command(Protocol):
+    """A change of a document."""
+
+    kind: ClassVar[str]
+
+    def apply(self, document: Document) -> Document:
+        """The changed document; raises `KeyposeError` where this cannot be done."""
+        ...
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields, arrays handed to ``store``."""
+        ...
+
+
+def _no_orders() -> Mapping[str, str]:
+    return {}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetCurves:
+    """Put curves into a clip and take channels out of it; a clip that does not exist is made."""
+
+    kind: ClassVar[str] = "set_curves"
+    clip: str
+    curves: Mapping[Channel, Curve]
+    removed: tuple[Channel, ...] = ()
+    euler_orders: Mapping[str, str] = field(default_factory=_no_orders)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "curves", MappingProxyType(dict(self.curves)))
+        object.__setattr__(self, "euler_orders", MappingProxyType(dict(self.euler_orders)))
+
+    def apply(self, document: Document) -> Document:
+        """The document with the clip changed."""
+        check_name(self.clip, "clip")
+        clip = document.clips.get(self.clip) or Clip({}, self.clip)
+        gone = set(self.removed)
+        curves = {channel: curve for channel, curve in clip.curves.items() if channel not in gone} | dict(self.curves)
+        orders = {**clip.euler_orders, **self.euler_orders}
+        changed = replace(clip, curves=curves, euler_orders=orders)
+        return replace(document, clips={**document.clips, self.clip: changed})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {
+            "kind": self.kind,
+            "clip": self.clip,
+            "curves": [values.curve_json(channel, curve, store) for channel, curve in self.curves.items()],
+            "removed": [values.channel_json(channel) for channel in self.removed],
+            "euler_orders": dict(self.euler_orders),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetClip:
+    """Put a clip in place of the one of its name."""
+
+    kind: ClassVar[str] = "set_clip"
+    clip: Clip
+
+    def apply(self, document: Document) -> Document:
+        """The document with the clip."""
+        check_name(self.clip.name, "clip")
+        return replace(document, clips={**document.clips, self.clip.name: self.clip})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "clip": values.clip_json(self.clip, store)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoveClip:
+    """Remove a clip and its placements."""
+
+    kind: ClassVar[str] = "remove_clip"
+    name: str
+
+    def apply(self, document: Document) -> Document:
+        """The document without the clip."""
+        document.clip(self.name)
+        clips = {name: clip for name, clip in document.clips.items() if name != self.name}
+        timelines = _placements(document, lambda p: None if p.animation == self.name else p)
+        return replace(document, clips=clips, timelines=timelines)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetTimeline:
+    """Put a timeline in place of the one of its name."""
+
+    kind: ClassVar[str] = "set_timeline"
+    timeline: Timeline
+
+    def apply(self, document: Document) -> Document:
+        """The document with the timeline."""
+        check_name(self.timeline.name, "timeline")
+        return replace(document, timelines={**document.timelines, self.timeline.name: self.timeline})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "timeline": values.timeline_json(self.timeline, store)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoveTimeline:
+    """Remove a timeline; what it moved is moved by none."""
+
+    kind: ClassVar[str] = "remove_timeline"
+    name: str
+
+    def apply(self, document: Document) -> Document:
+        """The document without the timeline."""
+        document.timeline(self.name)
+        timelines = {name: timeline for name, timeline in document.timelines.items() if name != self.name}
+        performs = {who: name for who, name in document.performs.items() if name != self.name}
+        return replace(document, timelines=timelines, performs=performs)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPose:
+    """Put a pose into the library, in place of the one of its name."""
+
+    kind: ClassVar[str] = "set_pose"
+    pose: StoredPose
+
+    def apply(self, document: Document) -> Document:
+        """The document with the pose."""
+        check_name(self.pose.name, "pose")
+        return replace(document, poses={**document.poses, self.pose.name: self.pose})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "pose": values.pose_json(self.pose)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemovePose:
+    """Take a pose out of the library."""
+
+    kind: ClassVar[str] = "remove_pose"
+    name: str
+
+    def apply(self, document: Document) -> Document:
+        """The document without the pose."""
+        document.pose(self.name)
+        return replace(document, poses={name: pose for name, pose in document.poses.items() if name != self.name})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetPerformance:
+    """Let a timeline move a character; none where ``timeline`` is empty."""
+
+    kind: ClassVar[str] = "set_performance"
+    character: str
+    timeline: str
+
+    def apply(self, document: Document) -> Document:
+        """The document with the performance."""
+        document.character(self.character)
+        performs = {who: name for who, name in document.performs.items() if who != self.character}
+        if self.timeline:
+            performs[self.character] = document.timeline(self.timeline).name
+        return replace(document, performs=performs)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "character": self.character, "timeline": self.timeline}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rename:
+    """Give a project, character, clip, timeline or pose another name; whatever names it follows."""
+
+    kind: ClassVar[str] = "rename"
+    what: str
+    name: str
+    to: str
+
+    def apply(self, document: Document) -> Document:
+        """The document with the new name."""
+        name, to = self.name, self.to
+        if self.what == "project":
+            check_name(to, "project")
+            return replace(document, name=to)
+        if self.what not in _KINDS:
+            raise ShapeError(f"what: expected project, {', '.join(_KINDS)}, got {self.what[:40]!r}")
+        mapping: Mapping[str, Any] = getattr(document, _KINDS[self.what])
+        items = renamed(mapping, self.what, name, to)
+        items[to] = replace(items[to], name=to)
+        changes: dict[str, Any] = {_KINDS[self.what]: items}
+        if self.what == "clip":
+            changes["timelines"] = _placements(
+                document, lambda p: replace(p, animation=to) if p.animation == name else p
+            )
+        elif self.what == "timeline":
+            changes["performs"] = {who: to if t == name else t for who, t in document.performs.items()}
+        elif self.what == "character":
+            changes["performs"] = {to if who == name else who: t for who, t in document.performs.items()}
+        return replace(document, **changes)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "what": self.what, "name": self.name, "to": self.to}
+
+
+_KINDS = {"character": "characters", "clip": "clips", "timeline": "timelines", "pose": "poses"}
+
+Setting = str | float | bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetSettings:
+    """Keep settings with the project; None removes one."""
+
+    kind: ClassVar[str] = "set_settings"
+    settings: Mapping[str, Setting | None]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
+
+    def apply(self, document: Document) -> Document:
+        """The document with the settings."""
+        merged = {**document.settings, **self.settings}
+        return replace(document, settings={name: value for name, value in merged.items() if value is not None})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "settings": dict(self.settings)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddCharacter:
+    """Add a character with a timeline and an empty clip (`keypose.project.add_character`)."""
+
+    kind: ClassVar[str] = "add_character"
+    character: Character
+
+    def apply(self, document: Document) -> Document:
+        """The document with the character."""
+        return add_character(document, self.character)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "character": character_json(self.character, store)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoveCharacter:
+    """Remove a character; its timeline and clips stay."""
+
+    kind: ClassVar[str] = "remove_character"
+    name: str
+
+    def apply(self, document: Document) -> Document:
+        """The document without the character."""
+        document.character(self.name)
+        characters = {name: c for name, c in document.characters.items() if name != self.name}
+        performs = {who: timeline for who, timeline in document.performs.items() if who != self.name}
+        return replace(document, characters=characters, performs=performs)
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+def import_clip(document: Document, animation: Clip | Motion) -> SetClip:
+    """The command that puts a copy of an animation into a document, under a free name."""
+    imported = import_animation(document, animation)
+    return SetClip(next(clip for name, clip in imported.clips.items() if name not in document.clips))
+
+
+def _placements(document: Document, change: Callable[[Placement], Placement | None]) -> dict[str, Timeline]:
+    """The timelines with every placement changed or (None) left out; what does not change stays the same object."""
+    timelines: dict[str, Timeline] = {}
+    for name, timeline in document.timelines.items():
+        layers: list[Any] = []
+        for layer in timeline.layers:
+            placements = tuple(p for p in map(change, layer.placements) if p is not None)
+            same = len(placements) == len(layer.placements) and all(
+                a is b for a, b in zip(placements, layer.placements, strict=True)
+            )
+            layers.append(layer if same else replace(layer, placements=placements))
+        same = all(a is b for a, b in zip(layers, timeline.layers, strict=True))
+        timelines[name] = timeline if same else replace(timeline, layers=tuple(layers))
+    return timelines
+
+
+def apply_all(document: Document, commands: Iterable[Command]) -> Document:
+    """The document after all commands, which are checked together at the end: all or none.
+
+    Raises:
+        KeyposeError: where one cannot be applied, or the result names what is not there.
+    """
+    for command in commands:
+        document = command.apply(document)
+    check(document)
+    return document
+
+
+# ---- from JSON ---------------------------------------------------------------------------------------------------------
+
+
+def _settings(item: Json) -> dict[str, Setting | None]:
+    found: dict[str, Setting | None] = {}
+    for name, value in item.members("settings"):
+        if isinstance(value.value, (bool, str)) or value.value is None:
+            found[name] = value.value
+        else:
+            found[name] = value.as_number()
+    return found
+
+
+_READERS: dict[str, Callable[[Json, Fetch], Command]] = {
+    SetCurves.kind: lambda item, fetch: SetCurves(
+        item.text("clip"),
+        values.read_curves(item, "curves", fetch),
+        tuple(values.read_channel(each) for each in item.items("removed")),
+        values.read_orders(item),
+    ),
+    SetClip.kind: lambda item, fetch: SetClip(values.read_clip(item.need("clip"), fetch)),
+    RemoveClip.kind: lambda item, fetch: RemoveClip(item.text("name")),
+    SetTimeline.kind: lambda item, fetch: SetTimeline(values.read_timeline(item.need("timeline"), fetch)),
+    RemoveTimeline.kind: lambda item, fetch: RemoveTimeline(item.text("name")),
+    SetPose.kind: lambda item, fetch: SetPose(values.read_pose(item.need("pose"))),
+    RemovePose.kind: lambda item, fetch: RemovePose(item.text("name")),
+    SetPerformance.kind: lambda item, fetch: SetPerformance(item.text("character"), item.text("timeline")),
+    Rename.kind: lambda item, fetch: Rename(item.text("what"), item.text("name"), item.text("to")),
+    SetSettings.kind: lambda item, fetch: SetSettings(_settings(item)),
+    AddCharacter.kind: lambda item, fetch: AddCharacter(read_character(item.need("character"), fetch)),
+    RemoveCharacter.kind: lambda item, fetch: RemoveCharacter(item.text("name")),
+}
+
+PAGE_KINDS = tuple(kind for kind in _READERS if kind not in (AddCharacter.kind, RemoveCharacter.kind))
+"""Commands that a page may send as they are."""
+
+
+def read_command(item: Json, fetch: Fetch, kinds: Iterable[str] = tuple(_READERS)) -> Command:
+    """A command of one of the kinds; raises `FormatError` naming the place."""
+    kind = item.text("kind")
+    if kind not in kinds:
+        item.need("kind").fail(f"no command '{kind[:40]}'; known: {', '.join(kinds)}")
+    try:
+        return _READERS[kind](item, fetch)
+    except KeyposeError as error:
+        if getattr(error, "where", ""):
+            raise
+        item.fail(str(error))
