@@ -1,5 +1,5 @@
-"""Pure functions of arrays: quaternions, Euler angles, dual quaternions, rigid transforms, splines."""
+"""Pure functions of arrays: quaternions, Euler angles, dual quaternions, rigid transforms, splines, easings."""
 
-from keypose.math import dualquat, euler, quat, rigid, spline
+from keypose.math import dualquat, ease, euler, quat, rigid, rotation_splines, spline
 
-__all__ = ["dualquat", "euler", "quat", "rigid", "spline"]
+__all__ = ["dualquat", "ease", "euler", "quat", "rigid", "rotation_splines", "spline"]
