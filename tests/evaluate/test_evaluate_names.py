@@ -25,11 +25,14 @@ def test_the_public_names() -> None:
     assert sorted(analysis.__all__) == [
         "Examination",
         "Finding",
+        "RoleMap",
         "RoundtripError",
         "SceneError",
         "contact_changes",
         "examine",
         "find_contacts",
+        "find_roles",
+        "roles_from_json",
         "roundtrip_error",
         "scene_error",
     ]

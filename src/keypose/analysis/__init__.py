@@ -1,18 +1,22 @@
-"""Measurements: where feet touch the ground, what a conversion changed, what is wrong with a file."""
+"""Measurements: which joint is which, where feet touch the ground, what a conversion changed, what is wrong with a file."""
 
 from keypose.analysis.contacts import contact_changes, find_contacts
 from keypose.analysis.doctor import Examination, Finding, examine
 from keypose.analysis.proof import SceneError, scene_error
+from keypose.analysis.roles import RoleMap, find_roles, roles_from_json
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 
 __all__ = [
     "Examination",
     "Finding",
+    "RoleMap",
     "RoundtripError",
     "SceneError",
     "contact_changes",
     "examine",
     "find_contacts",
+    "find_roles",
+    "roles_from_json",
     "roundtrip_error",
     "scene_error",
 ]
