@@ -42,9 +42,9 @@ def rng() -> np.random.Generator:
 
 def test_the_public_names() -> None:
     assert sorted(model.__all__) == [
-        "Channel", "Character", "Clip", "Curve", "CurveKind", "EULER_ORDER", "Event", "Extrapolation", "ForcePlate", "Image",
-        "Interpolation", "Layer", "LayerMode", "Marker", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Placement", "Pose", "Property", "Scene", "Signals", "Skeleton",
-        "Skin", "SkinningMethod", "Tangent", "Tier", "Timeline",
+        "Channel", "Character", "Clip", "Curve", "CurveKind", "Document", "EULER_ORDER", "Event", "Extrapolation", "ForcePlate", "Image",
+        "Interpolation", "Layer", "LayerMode", "Marker", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Placement", "Pose", "Property", "ROTATION_ONLY", "Scene", "Signals", "Skeleton",
+        "Skin", "SkinningMethod", "StoredPose", "Tangent", "Tier", "Timeline",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 
@@ -214,7 +214,12 @@ def test_malformed_motions_are_refused(rng: np.random.Generator) -> None:
         ([0.0, 1.0], np.zeros((3, 1)), {}, r"values: expected \(2, C\) to match 2 key times, got \(3, 1\)"),
         ([0.0], [[1.0, 2.0]], {"kind": CurveKind.SCALAR}, r"expected \(1, 1\) for a scalar curve"),
         ([0.0], [[1.0, 0, 0]], {"kind": CurveKind.ROTATION}, r"expected \(1, 4\) for a rotation curve"),
-        ([0.0, 1.0], np.zeros((2, 1)), {"modes": Interpolation.HERMITE}, "in_tangents: a HERMITE curve needs tangents"),
+        (
+            [0.0, 1.0],
+            np.zeros((2, 1)),
+            {"modes": Interpolation.HERMITE},
+            r"in_tangents: a HERMITE curve needs in_tangents of shape \(2, 1\)",
+        ),
         ([0.0, 1.0], np.zeros((2, 1)), {"in_tangents": np.zeros((2, 2))}, "in_tangents: expected"),
     ],
 )

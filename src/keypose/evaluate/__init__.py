@@ -2,10 +2,11 @@
 
 from keypose.evaluate.baking import bake, reduce_keys, resample, snap_to_keys, to_clip
 from keypose.evaluate.blending import add, blend, difference
+from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
 from keypose.evaluate.rates import key_rate
-from keypose.evaluate.sampling import sample, sample_clip, sample_curve, sample_morphs, sample_motion, unmatched
+from keypose.evaluate.sampling import sample, sample_clip, sample_morphs, sample_motion, sample_value, unmatched
 from keypose.evaluate.timeline import (
     KeyedValue,
     bake_timeline,
@@ -41,6 +42,7 @@ __all__ = [
     "sample_motion",
     "sample_timeline",
     "sample_timeline_morphs",
+    "sample_value",
     "snap_to_keys",
     "to_clip",
     "unmatched",

@@ -12,7 +12,7 @@ from keypose.arrays import Array
 from keypose.errors import ShapeError
 from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
 from keypose.math import quat
-from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
+from keypose.model import ROTATION_ONLY, Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
 
 # Durations come from files that round them: 1 % of a frame short is still a whole frame.
 _FRAME_ROUNDING = 0.01
@@ -59,7 +59,7 @@ def to_clip(
     """A motion as a clip with one key per frame on every joint's translation, rotation and scale and on every morph.
 
     HERMITE tangents are central differences (one-sided at the ends); rotations are then put on one side of the sphere.
-    With ``reduce_constant`` a channel that never changes gets one key.
+    Where a channel cannot have the interpolation (BEZIER of rotations, splines on the sphere of others) it gets HERMITE. With ``reduce_constant`` a channel that never changes gets one key.
     """
     times = motion.times_s
     times.setflags(write=False)
@@ -70,11 +70,27 @@ def to_clip(
         if reduce_constant and bool((values == values[:1]).all()):
             curves[Channel(target, property)] = Curve(times[:1], values[:1], Interpolation.STEP, kind=kind)
             return
-        tangents = None
-        if interpolation is Interpolation.HERMITE:
-            values = quat.align_signs(values, axis=0) if kind is CurveKind.ROTATION else values
+        turns = kind is CurveKind.ROTATION
+        impossible = interpolation is Interpolation.BEZIER if turns else interpolation in ROTATION_ONLY
+        mode = Interpolation.HERMITE if impossible else interpolation
+        tangents = handles = None
+        if mode is Interpolation.HERMITE or mode is Interpolation.BEZIER:
+            values = quat.align_signs(values, axis=0) if turns else values
             tangents = _tangents(values, motion.rate_hz)
-        curves[Channel(target, property)] = Curve(times, values, interpolation, tangents, tangents, kind)
+        if mode is Interpolation.BEZIER and tangents is not None:
+            third = 1 / (3 * motion.rate_hz)
+            handles = np.stack([np.full_like(tangents, third), third * tangents], axis=-1)
+            tangents = None
+        curves[Channel(target, property)] = Curve(
+            times,
+            values,
+            mode,
+            tangents,
+            tangents,
+            kind,
+            in_handles=None if handles is None else -handles,
+            out_handles=handles,
+        )
 
     if motion.frame_count == 0:
         return Clip({}, motion.name, motion.rate_hz)
@@ -200,4 +216,7 @@ def _reduced(curve: Curve, tolerance: float) -> Curve:
         modes=curve.modes[kept],
         in_tangents=rows(curve.in_tangents),
         out_tangents=rows(curve.out_tangents),
+        in_handles=rows(curve.in_handles),
+        out_handles=rows(curve.out_handles),
+        tangent_types=rows(curve.tangent_types),
     )

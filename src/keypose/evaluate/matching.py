@@ -78,11 +78,12 @@ def match(animation: Motion | Clip, skeleton: Skeleton) -> Motion | Clip:
     if isinstance(animation, Clip):
         names = {other: own for own, other in report.sources.items()}
         curves = {
-            channel if channel.property is Property.WEIGHT else Channel(names[channel.target], channel.property): curve
+            replace(channel, target=names[channel.target]) if _moves_a_joint(channel) else channel: curve
             for channel, curve in animation.curves.items()
-            if channel.property is Property.WEIGHT or channel.target in names
+            if not _moves_a_joint(channel) or channel.target in names
         }
-        return replace(animation, curves=curves)
+        orders = {names[other]: order for other, order in animation.euler_orders.items() if other in names}
+        return replace(animation, curves=curves, euler_orders=orders)
     if animation.joint_names == skeleton.names:
         return animation
     index = {name: j for j, name in enumerate(animation.joint_names)}
@@ -118,7 +119,11 @@ def _reordered(array: Array, rest: Array, rows: Sequence[int]) -> Array:
 
 
 def _animated_joints(clip: Clip) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(c.target for c in clip.curves if c.property is not Property.WEIGHT))
+    return tuple(dict.fromkeys(c.target for c in clip.curves if _moves_a_joint(c)))
+
+
+def _moves_a_joint(channel: Channel) -> bool:
+    return channel.property not in (Property.WEIGHT, Property.VALUE)
 
 
 def _bare(name: str) -> str:

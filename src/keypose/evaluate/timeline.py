@@ -17,8 +17,9 @@ import numpy as np
 
 from keypose.arrays import Array, as_float, checked, namespace, unified
 from keypose.errors import ShapeError, UnknownName
+from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.matching import match, match_report
-from keypose.evaluate.sampling import sample_clip, sample_curve, sample_morphs, sample_motion
+from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
 from keypose.math import quat
 from keypose.model import (
     Clip,

@@ -7,6 +7,7 @@ from typing import Any
 from keypose.model.character import Character, Part, Scene
 from keypose.model.curve import (
     EULER_ORDER,
+    ROTATION_ONLY,
     Channel,
     Clip,
     Curve,
@@ -26,6 +27,7 @@ from keypose.model.timeline import Layer, LayerMode, Marker, Placement, Timeline
 
 __all__ = [
     "EULER_ORDER",
+    "ROTATION_ONLY",
     "Channel",
     "Character",
     "Clip",

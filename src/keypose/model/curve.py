@@ -78,11 +78,22 @@ class Channel:
     """What a curve drives, by name: a joint's translation, rotation, Euler angles or scale, a morph's weight, a value.
 
     ``component`` is None where the curve has all components, else the one that it drives alone (0 to 2).
+
+    Raises:
+        ShapeError: where there is no such component; rotations (but not Euler angles) and weights have none.
     """
 
     target: str
     property: Property
     component: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.component is None:
+            return
+        if self.component not in (0, 1, 2):
+            raise ShapeError(f"component: expected 0, 1, 2 or None, got {self.component}")
+        if self.property in (Property.ROTATION, Property.WEIGHT):
+            raise ShapeError(f"component: a {self.property.value} has no components that curves could drive alone")
 
     def __str__(self) -> str:
         axis = "" if self.component is None else f".{'xyz'[self.component]}"
@@ -96,6 +107,10 @@ _COMPONENTS = {
     CurveKind.COLOR: (3, 4),
     CurveKind.BOOLEAN: (1,),
 }
+
+
+def _furthest(numbers: Any, sign: int) -> float:
+    return float(sign * np.max(sign * numbers))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,11 +170,13 @@ class Curve:
         self._keep_sides(("in_handles", "out_handles"), Interpolation.BEZIER, (*values.shape, 2), used)
         for name, sign in (("in_handles", -1), ("out_handles", 1)):
             handles = getattr(self, name)
-            if handles is not None and np.any(sign * np.asarray(handles)[..., 0] < 0):
+            if isinstance(handles, np.ndarray) and np.any(sign * handles[..., 0] < 0):
                 side = "at or before" if sign < 0 else "at or after"
-                raise ShapeError(f"{name}: expected seconds {side} the key, got the other side")
+                raise ShapeError(f"{name}: expected seconds {side} the key, got {_furthest(handles[..., 0], -sign)} s")
         if self.tangent_types is not None:
             types = np.asarray(self.tangent_types, np.uint8)
+            if types.size and types.max() > max(Tangent):
+                raise ShapeError(f"tangent_types: expected Tangent (0 to {int(max(Tangent))}), got {int(types.max())}")
             object.__setattr__(
                 self, "tangent_types", frozen(checked(types, (count, 2), "tangent_types", f"{count} keys"))
             )
@@ -171,8 +188,11 @@ class Curve:
         for mode in ROTATION_ONLY if not rotation else (Interpolation.BEZIER,):
             if np.any(used == mode):
                 raise ShapeError(f"modes: a {self.kind.value} curve cannot have {mode.name}")
-        if self.kind is CurveKind.BOOLEAN and np.any(used != Interpolation.STEP):
-            raise ShapeError("modes: a boolean curve goes in steps (STEP)")
+        if self.kind is CurveKind.BOOLEAN:
+            if np.any(used != Interpolation.STEP):
+                raise ShapeError("modes: a boolean curve goes in steps (STEP)")
+            if isinstance(self.values, np.ndarray) and not np.all((self.values == 0) | (self.values == 1)):
+                raise ShapeError("values: a boolean curve is 0 or 1 at its keys")
 
     def _keep_sides(self, names: tuple[str, str], mode: Interpolation, shape: tuple[int, ...], used: Array) -> None:
         for name in names:
@@ -206,6 +226,9 @@ class Clip:
 
     Joints and morphs are named, so that one clip can drive every skeleton that has those names; what a clip does not
     animate stays at rest.
+
+    Raises:
+        ShapeError: where a joint has both a rotation curve and Euler curves.
     """
 
     curves: Mapping[Channel, Curve] = field(default_factory=_no_curves)
@@ -216,6 +239,10 @@ class Clip:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curves", MappingProxyType(dict(self.curves)))
+        turned = {c.target for c in self.curves if c.property is Property.EULER}
+        both = next((c.target for c in self.curves if c.property is Property.ROTATION and c.target in turned), None)
+        if both is not None:
+            raise ShapeError(f"joint '{both}': it has a rotation curve and Euler curves; only one can drive it")
         object.__setattr__(self, "euler_orders", MappingProxyType(dict(self.euler_orders)))
 
     @property
