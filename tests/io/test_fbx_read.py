@@ -208,6 +208,48 @@ def test_a_rotation_order_that_is_not_active_does_not_count_in_motion_either(tmp
         np.testing.assert_allclose(pose.broadcast().translations[k, 0], pivot - quat.rotate(expected, pivot), atol=1e-8)
 
 
+@pytest.mark.parametrize("up", [1, 2])
+def test_takes_of_nodes_with_pivots_do_not_mix(up: int, tmp_path: Path) -> None:
+    """A node that turns about a pivot moves by that alone, whatever other takes do with its place."""
+    from keypose.math import euler, quat
+
+    rng = np.random.default_rng(4)
+    z_up = {"UpAxis": 2, "FrontAxis": 1, "FrontAxisSign": -1}
+    file = FbxFile(settings=z_up if up == 2 else {})
+    names = ("Lcl_Translation", "RotationPivot", "RotationOffset", "ScalingPivot", "ScalingOffset")
+    nodes = []
+    for k in range(120):
+        values = {name: tuple(rng.uniform(-3, 3, 3).round(3)) for name in names}
+        values |= {"Lcl_Rotation": (10.0, 20.0, 30.0), "Lcl_Scaling": (1.5, 0.5, 2.0)}
+        if k % 2:
+            values["PostRotation"] = (20.0, -30.0, 40.0)
+        nodes.append((file.model(f"n{k}", RotationActive=1, **values), values))
+        file.mesh(nodes[-1][0])
+    turned = set(rng.permutation(120)[:60].tolist())
+    for name in ("places", "turns", "more"):
+        layer = file.stack(name, 0, 1)
+        placed = set(rng.permutation(120)[:50].tolist()) - (turned if name == "turns" else set())
+        for k, (node, values) in enumerate(nodes):
+            if k in placed:
+                file.curve(node, "Lcl Translation", "d|Y", [(0, 5), (1, 9)], layer, values["Lcl_Translation"])
+            if k in turned and name == "turns":
+                file.curve(node, "Lcl Rotation", "d|X", [(0, 0), (1, 80)], layer, values["Lcl_Rotation"])
+    scene = read(file.save(tmp_path / "a.fbx"))
+    pose = sample(scene.animation("turns"), scene.character.skeleton, np.array([0.0, 0.5, 1.0])).broadcast()
+    flat = euler.to_quat(np.radians([-90.0, 0, 0]), "xyz") if up == 2 else np.array([1.0, 0, 0, 0])
+    for k, (_, values) in enumerate(nodes):
+        place, pivot, offset, scale_pivot, scale_offset = (np.array(values[name]) for name in names)
+        if k not in turned:
+            continue
+        for frame, x in enumerate((0, 40, 80)):
+            post = euler.to_quat(np.radians(values.get("PostRotation", (0, 0, 0))), "xyz")
+            turn = quat.multiply(euler.to_quat(np.radians([x, 20, 30]), "xyz"), quat.conjugate(post))
+            arm = scale_offset + scale_pivot * (1 - np.array([1.5, 0.5, 2.0])) - pivot
+            expected = 0.01 * quat.rotate(flat, place + offset + pivot + quat.rotate(turn, arm))
+            joint = scene.character.skeleton.index(f"n{k}")
+            np.testing.assert_allclose(pose.translations[frame, joint], expected, atol=1e-6)
+
+
 def test_layers_that_turn_such_a_node_are_kept_with_a_note(tmp_path: Path) -> None:
     file = FbxFile()
     node = file.model("a", RotationOrder=3, Lcl_Rotation=(30, 40, 50))

@@ -90,6 +90,9 @@ def test_vertices_are_those_of_the_authoring_tool(
         size = float(np.ptp(expected.positions, axis=0).max())
         tolerance = (1e-3 if "did not sum to 1" in " ".join(scene.notes) and cached else 1e-5) * size
         error, nearest = cKDTree(expected.positions).query(points)
+        print(
+            f"{name:55s} {error.max() / size:9.2e} of its size, at most {tolerance / size:.0e}"
+        )  # pytest -rP shows it
         assert error.max() < tolerance
         if not cached:  # what a vertex cache in another file moves has no counterpart
             assert cKDTree(points).query(expected.positions)[0].max() < tolerance

@@ -211,7 +211,8 @@ class _Reader:
         self.above = np.where(self.parents[:, None] >= 0, self.frames[self.parents], (1.0, 0.0, 0.0, 0.0))
         self.base = np.asarray(quat.rotate(quat.conjugate(self.above), self.base))
         self.skeleton = self.rest(said)
-        self.character = Character(self.skeleton, name=name, extras={"acclaim": self.extras()})
+        extras = {"acclaim": self.extras(), "euler_orders": self.euler_orders()}
+        self.character = Character(self.skeleton, name=name, extras=extras)
 
     def fold(self, added: frozenset[str], offsets: Floats) -> None:
         """Take out the bones that only lead from one joint's end to another's start, which keypose added in writing."""
@@ -296,6 +297,15 @@ class _Reader:
             "bones": bones,
             "axes": "bone" if self.own else "world",
         }
+
+    def euler_orders(self) -> dict[str, str]:
+        """The axes about which each joint turns, in the order in which they turn with it: the file's, reversed."""
+        dofs: dict[str, Sequence[str]] = {"root": self.asf.order, **{b.name: b.dof for b in self.asf.bones}}
+        turns = {
+            joint: "".join(d[1].upper() for d in reversed(dofs.get(name, ())) if d.startswith("r"))
+            for name, joint in zip(self.file_names, self.names, strict=True)
+        }
+        return {joint: order for joint, order in turns.items() if order}
 
     def limit(self, value: float, dof: str) -> float:
         """Degrees, or metres for what slides."""

@@ -93,6 +93,7 @@ def read_nodes(record, nodes, evaluate):
                 "end_site": list(end.value_vec4)[:3] if end is not None else None,
                 "materials": [m.typed_id for m in items(hold(node.materials))],
                 "geometry": list(matrix(node.geometry_to_node)) if node.has_geometry_transform else None,
+                "order": 0 if IgnoredOrder.holds(node) else int(node.rotation_order),
             }
         )
     rest = record.reals(chain.from_iterable(transform(evaluate.rest(n)) for n in nodes), 10)
@@ -326,16 +327,19 @@ class Evaluate:
         if not names:
             return [self.rest(node)]
         rest, found = self.rest(node), self._evaluated(stack, anim, node, times)
-        still_place = "Lcl Translation" not in names and not _has_pivots(node)
-        still_turn, still_size = "Lcl Rotation" not in names, "Lcl Scaling" not in names
-        return [
-            self._ufbx.Transform(
-                rest.translation if still_place else value.translation,
-                rest.rotation if still_turn else value.rotation,
-                rest.scale if still_size else value.scale,
-            )
-            for value in found
-        ]
+        still_place, still_turn, still_size = (f"Lcl {n}" not in names for n in ("Translation", "Rotation", "Scaling"))
+        arm = Arm(node) if _has_pivots(node) else None
+        result = []
+        for value in found:
+            rotation = rest.rotation if still_turn else value.rotation
+            scale = rest.scale if still_size else value.scale
+            source = rest if still_place else value
+            place = source.translation
+            if arm is not None:  # what turns about a pivot moves, though nothing moves it
+                ends = arm.end(rotation, scale), arm.end(source.rotation, source.scale)
+                place = tuple(t + a - b for t, a, b in zip(place, *ends, strict=True))
+            result.append(self._ufbx.Transform(place, rotation, scale))
+        return result
 
     def _evaluated(self, stack, anim, node, times):
         evaluate = self._ufbx.evaluate_transform
@@ -352,6 +356,21 @@ class Evaluate:
             return found
         angles = [curves[0].evaluate_vec3(t) for t in times] if curves else [order.rest_angles] * len(times)
         return [order.applied(value, turned) for value, turned in zip(found, angles, strict=True)]
+
+
+class Arm:
+    """The way from the point about which a node turns and scales to its origin."""
+
+    def __init__(self, node):
+        zero = (0.0, 0.0, 0.0)
+        names = ("ScalingOffset", "ScalingPivot", "RotationPivot")
+        self._offset, self._pivot, self._about = (_vector(node, name, zero) for name in names)
+        self._back = _conjugate(node.adjust_post_rotation)
+
+    def end(self, rotation, scale):
+        """Where the arm points to with a local rotation and scale."""
+        pairs = zip(self._offset, self._pivot, self._about, scale, strict=True)
+        return _turned(_product(rotation, self._back), tuple(o + p * (1 - s) - a for o, p, a, s in pairs))
 
 
 class IgnoredOrder:

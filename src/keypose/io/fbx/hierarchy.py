@@ -15,6 +15,8 @@ from keypose.io.notes import Notes, UniqueNames
 from keypose.model import Pose, Skeleton
 
 BONE = 5  # ufbx's number for the attribute of a LimbNode
+# FBX names the axis first that is turned about first; as axes that turn with the joint they come in reverse.
+_ORDERS = ("ZYX", "YZX", "XZY", "ZXY", "YXZ", "XYZ")
 STAGE = frozenset({3, 4, 13, 14})  # of lights, cameras and what switches between cameras
 NEUTRAL = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1], np.float64)  # translation, rotation as xyzw, scale
 
@@ -29,6 +31,7 @@ class Hierarchy:
     nodes: tuple[int, ...]  # in the order of the joints, then the carriers
     roles: Mapping[str, int]
     bones: tuple[str, ...]
+    euler_orders: Mapping[str, str]
 
 
 def build(record: Record, unit_m: float, notes: Notes) -> Hierarchy:
@@ -67,9 +70,11 @@ def build(record: Record, unit_m: float, notes: Notes) -> Hierarchy:
             x, y, z = (float(v) * unit_m for v in end)
             ends.append((joint, (x, y, z)))
     bones = tuple(names[joint] for joint, node in enumerate(kept) if facts[node]["kind"] == BONE)
+    turned = {names[joint]: int(facts[node]["order"]) for joint, node in enumerate(kept)}
+    orders = {name: _ORDERS[order] for name, order in turned.items() if 0 <= order < len(_ORDERS)}
     skeleton = Skeleton(tuple(names), np.array(parents, np.int32), pose, tuple(ends))
     above = {n: joint_of_node[int(facts[n]["parent"])] for n in carriers if int(facts[n]["parent"]) in joint_of_node}
-    return Hierarchy(skeleton, joint_of_node, above, (*kept, *sorted(carriers)), roles, bones)
+    return Hierarchy(skeleton, joint_of_node, above, (*kept, *sorted(carriers)), roles, bones, orders)
 
 
 def wxyz(xyzw: Floats) -> Floats:

@@ -98,7 +98,7 @@ def _scene(path: Path, record: Record) -> Scene:
                 morph_names=morphs.names,
                 rest_morph_weights=morphs.rest_weights.astype(np.float32),
                 roles=tree.roles,
-                extras={"fbx": {"bones": list(tree.bones)}},
+                extras={"fbx": {"bones": list(tree.bones)}, "euler_orders": dict(tree.euler_orders)},
             ),
         )
     else:
