@@ -29,12 +29,17 @@ export interface Job {
   fraction: number | null;
 }
 
+const PAGES = ["view", "edit", "play"] as const;
+export type Page = (typeof PAGES)[number];
+
 /** How much of an animation a character must have for it to be offered, and to be applied by itself. */
 const OFFERED = 0.3;
 const APPLIED = 0.8;
 
 export class Studio {
   files = $state.raw<OpenFile[]>([]);
+  /** What the project of the edit page is made of. */
+  cast = $state.raw<OpenFile[]>([]);
   activeId = $state<string | null>(null);
   hidden = $state.raw<ReadonlySet<string>>(new Set());
   /** Actor id -> animation id. */
@@ -60,8 +65,8 @@ export class Studio {
   /** Rises when a morph was set by hand. */
   morphRevision = $state(0);
 
-  /** What the window shows: files to look at, or a graph to play. */
-  page = $state<"view" | "play">("view");
+  /** What the window shows: files to look at, a project to edit, or a graph to play. */
+  page = $state<Page>("view");
   graphs = $state.raw<GraphEntry[]>([]);
   /** The graph that is played first. */
   firstGraph = $state("");
@@ -84,7 +89,7 @@ export class Studio {
   /** Called with the time in every frame that changed; the timeline draws itself. */
   readonly frameListeners = new Set<() => void>();
 
-  actors = $derived(this.files.flatMap((file) => file.actors));
+  actors = $derived((this.page === "edit" ? this.cast : this.files).flatMap((file) => file.actors));
   animations = $derived(this.files.flatMap((file) => file.animations));
   active = $derived(this.actors.find((actor) => actor.id === this.activeId) ?? null);
   animation = $derived.by(() => {
@@ -134,7 +139,7 @@ export class Studio {
         }
         this.graphs = message.graphs;
         this.firstGraph = message.graph;
-        if (!this.greeted) this.turnTo(location.hash === "#play" ? "play" : location.hash === "#view" ? "view" : message.start);
+        if (!this.greeted) this.turnTo(PAGES.find((page) => location.hash === `#${page}`) ?? message.start);
         this.greeted = true;
         for (const file of this.files) if (!message.scenes.some((s) => s.id === file.id)) this.forget(file.id);
         for (const entry of message.scenes) this.open(entry);
@@ -164,14 +169,37 @@ export class Studio {
   }
 
   /** Turn to a page; the one that is left stands still. */
-  turnTo(page: "view" | "play"): void {
-    if (page === "play") this.pause();
-    this.page = page;
+  turnTo(page: Page): void {
+    if (page !== this.page) {
+      this.pause();
+      this.left[this.page] = { active: this.activeId, time: this.view.clock.time };
+      this.page = page;
+      if (page !== "play") this.present(this.left[page]);
+    }
     window.history.replaceState(null, "", `#${page}`);
   }
   private greeted = false;
+  private readonly left: Partial<Record<Page, { active: string | null; time: number }>> = {};
 
-  private open(entry: SceneEntry): void {
+  /** Bring the actors of this page onto the stage, as they were left. */
+  private present(left: { active: string | null; time: number } | undefined): void {
+    const { view } = this;
+    view.present(this.actors);
+    this.activeId = view.active = null;
+    this.select(-1);
+    this.activate(this.actors.find((a) => a.id === left?.active) ?? this.actors[0] ?? null);
+    view.clock.time = this.time = left?.time ?? this.animation?.start ?? 0;
+    for (const listener of this.pageListeners) listener(this.page);
+    if (this.actors.length > 0) view.frameAll(left ? null : "three-quarter", true);
+    view.invalidatePose();
+  }
+  /** Told of the page that the stage shows now. */
+  readonly pageListeners = new Set<(page: Page) => void>();
+  /** Told of every character that came onto the stage for the project. */
+  readonly castListeners = new Set<() => void>();
+
+  /** Fetch a scene: a file to look at, or a part of the project. */
+  open(entry: SceneEntry, owner: "files" | "cast" = "files"): void {
     if (this.known.has(entry.id)) return;
     this.known.add(entry.id);
     const job = `scene ${entry.id}`;
@@ -182,7 +210,9 @@ export class Studio {
           this.jobs.set(job, { id: job, label: entry.name, fraction }),
         );
         const file = await loadScene(container);
-        if (this.known.has(entry.id)) this.enter(file);
+        if (!this.known.has(entry.id)) file.dispose();
+        else if (owner === "cast") this.enterCast(file);
+        else this.enter(file);
       } catch (error) {
         this.known.delete(entry.id);
         this.toast("error", `${entry.name} cannot be shown`, error instanceof Error ? error.message : String(error));
@@ -193,9 +223,24 @@ export class Studio {
     });
   }
 
+  private enterCast(file: OpenFile): void {
+    this.cast = [...this.cast, file];
+    if (this.page === "edit") {
+      for (const actor of file.actors) this.view.add(actor);
+      if (!this.active) this.activate(file.actors[0] ?? null);
+      this.view.frameAll("three-quarter", true);
+    }
+    for (const listener of this.castListeners) listener();
+  }
+
   private enter(file: OpenFile): void {
-    const first = this.actors.length === 0;
+    const first = this.files.length === 0;
     this.files = [...this.files, file];
+    if (this.page === "edit") {
+      // it is looked at on the other page; here it can be taken into the project
+      for (const actor of file.actors) this.give(actor, file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= OFFERED) ?? null);
+      return;
+    }
     for (const actor of file.actors) {
       const own = file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= OFFERED);
       const borrowed = actor.hasMesh
@@ -237,13 +282,14 @@ export class Studio {
     }
   }
 
-  private forget(id: string): void {
+  forget(id: string): void {
     this.known.delete(id);
-    const file = this.files.find((f) => f.id === id);
+    const file = [...this.files, ...this.cast].find((f) => f.id === id);
     if (!file) return;
     for (const actor of file.actors) this.view.remove(actor);
     file.dispose();
     this.files = this.files.filter((f) => f !== file);
+    this.cast = this.cast.filter((f) => f !== file);
     for (const actor of this.actors) if (actor.animation?.sceneId === id) this.perform(actor, null);
     if (!this.active) this.activate(this.actors[0] ?? null);
     if (this.actors.length > 0) this.view.frameAll();
@@ -301,6 +347,7 @@ export class Studio {
 
   /** The active character's animation sets the range and the rate. */
   private takePace(restart: boolean): void {
+    if (this.page === "edit") return;
     const { clock } = this.view;
     const { animation } = this;
     clock.rate = animation?.rate ?? 30;

@@ -67,8 +67,24 @@ export class Connection {
   }
 
   /** A recording as a file. */
-  async take(id: string, kind: "glb" | "bvh"): Promise<Blob> {
-    const response = await fetch(`api/takes/${encodeURIComponent(id)}/${kind}`, { headers: this.headers });
+  take(id: string, kind: "glb" | "bvh"): Promise<Blob> {
+    return this.file(`api/takes/${encodeURIComponent(id)}/${kind}`);
+  }
+
+  /** A container of ours, answered in JSON; what the server refuses is in the answer. */
+  async post<R>(path: string, body: Blob): Promise<R> {
+    const response = await fetch(path, { method: "POST", headers: this.headers, body });
+    if (response.headers.get("content-type")?.startsWith("application/json")) return (await response.json()) as R;
+    throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
+  }
+
+  async json<R>(path: string): Promise<R> {
+    return JSON.parse(await (await this.file(path)).text()) as R;
+  }
+
+  /** Anything that the server writes as a file. */
+  async file(path: string): Promise<Blob> {
+    const response = await fetch(path, { headers: this.headers });
     if (!response.ok) throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
     return response.blob();
   }

@@ -26,24 +26,45 @@ export interface Blobs {
   data: ArrayBuffer;
 }
 
-/** An upload: files one after the other, each at a multiple of 8. */
+type Packed = Float64Array | Float32Array | Uint8Array | Uint32Array;
+
+const ELEMENTS = new Map<unknown, ArrayRef["element"]>([
+  [Float64Array, "float64"],
+  [Float32Array, "float32"],
+  [Uint8Array, "uint8"],
+  [Uint32Array, "uint32"],
+]);
+
+/** Collects the arrays of a container; each begins at a multiple of 8. */
+export class Packer {
+  private readonly chunks: BlobPart[] = [];
+  private offset = 0;
+
+  add(array: Packed, shape: number[] = [array.length]): ArrayRef {
+    const ref: ArrayRef = { offset: this.offset, bytes: array.byteLength, element: ELEMENTS.get(array.constructor)!, shape };
+    const padding = (8 - (array.byteLength % 8)) % 8;
+    this.chunks.push(array as BlobPart, new Uint8Array(padding));
+    this.offset += array.byteLength + padding;
+    return ref;
+  }
+
+  /** The container with this header. */
+  pack(header: object): Blob {
+    const text = encoder.encode(JSON.stringify(header));
+    const length = Math.ceil(text.length / 8) * 8;
+    const head = new Uint8Array(8 + length).fill(0x20);
+    new DataView(head.buffer).setUint32(0, MAGIC, true);
+    new DataView(head.buffer).setUint32(4, length, true);
+    head.set(text, 8);
+    return new Blob([head, ...this.chunks]);
+  }
+}
+
+/** An upload: files one after the other. */
 export function packUpload(files: Blobs[]): Blob {
-  let offset = 0;
-  const chunks: BlobPart[] = [];
-  const entries = files.map(({ name, data }) => {
-    const bytes: ArrayRef = { offset, bytes: data.byteLength, element: "uint8", shape: [data.byteLength] };
-    const padding = (8 - (data.byteLength % 8)) % 8;
-    chunks.push(data, new Uint8Array(padding));
-    offset += data.byteLength + padding;
-    return { name, bytes };
-  });
-  const text = encoder.encode(JSON.stringify({ type: "upload", files: entries }));
-  const length = Math.ceil(text.length / 8) * 8;
-  const head = new Uint8Array(8 + length).fill(0x20);
-  new DataView(head.buffer).setUint32(0, MAGIC, true);
-  new DataView(head.buffer).setUint32(4, length, true);
-  head.set(text, 8);
-  return new Blob([head, ...chunks]);
+  const packer = new Packer();
+  const entries = files.map(({ name, data }) => ({ name, bytes: packer.add(new Uint8Array(data)) }));
+  return packer.pack({ type: "upload", files: entries });
 }
 
 /** Typed views into a container; nothing is copied. */

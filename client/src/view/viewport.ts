@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { Clock } from "../anim/clock";
 import type { Actor, Surface } from "./actor";
 import { NO_MARKS, type Marks } from "./bones";
-import { OrbitCamera, type View } from "./camera";
+import { OrbitCamera, type Camera, type View } from "./camera";
 import type { GhostSettings } from "./ghosts";
 import { Ground } from "./ground";
 import { Lights } from "./lights";
@@ -103,8 +103,25 @@ export class Viewport {
     this.applyDisplay();
   }
 
+  /** Put these on the stage in place of those that stand there; nobody is disposed of. */
+  present(actors: readonly Actor[]): void {
+    for (const actor of this.actors) {
+      if (actors.includes(actor)) continue;
+      actor.root.removeFromParent();
+      actor.overlay.removeFromParent();
+    }
+    for (const actor of actors) {
+      if (this.actors.includes(actor)) continue;
+      this.scene.add(actor.root);
+      this.overlay.add(actor.overlay);
+    }
+    this.actors.splice(0, this.actors.length, ...actors);
+    this.arrange();
+    this.applyDisplay();
+  }
+
   remove(actor: Actor): void {
-    this.actors.splice(this.actors.indexOf(actor), 1);
+    if (this.actors.includes(actor)) this.actors.splice(this.actors.indexOf(actor), 1);
     if (this.active === actor) this.active = null;
     actor.dispose();
     this.arrange();
@@ -313,22 +330,23 @@ export class Viewport {
     this.orbit.follow(active.toStage(active.jointPosition(active.rootJoint, this.point)));
   }
 
-  draw(): void {
-    const { renderer, orbit } = this;
+  draw(camera: Camera = this.orbit.camera, bare = false): void {
+    const { renderer } = this;
     const center = this.stageCenter();
     this.lights.fit(center, this.stageSize);
     this.ground.fit(center, this.stageSize);
-    for (const prepare of this.beforeDraw) prepare();
+    if (!bare) for (const prepare of this.beforeDraw) prepare();
     renderer.info.reset();
     renderer.clear();
-    renderer.render(this.scene, orbit.camera);
+    renderer.render(this.scene, camera);
+    if (bare) return;
     if (this.display.bones || this.display.axes) {
       renderer.clearDepth();
-      renderer.render(this.overlay, orbit.camera);
+      renderer.render(this.overlay, camera);
     }
     if (this.tools.visible && this.tools.children.length > 0) {
       renderer.clearDepth();
-      renderer.render(this.tools, orbit.camera);
+      renderer.render(this.tools, camera);
     }
   }
 
@@ -411,25 +429,17 @@ export class Viewport {
   }
 
   /**
-   * Draw a picture of so many pixels and hand it to `use`; then the window is as it was. `camera` is where it is taken
-   * from; without one, the view's own.
+   * Draw a picture of so many pixels and hand the canvas to `use`; then the window is as it was, without having shown
+   * it. `camera` is another camera than the view's own; `bare` leaves out what is drawn over the characters.
    */
-  picture<T>(width: number, height: number, use: (canvas: HTMLCanvasElement) => T, camera?: () => void): T {
-    const { orbit, renderer } = this;
-    const kept = { position: orbit.camera.position.clone(), target: orbit.target.clone(), turn: orbit.camera.quaternion.clone() };
+  picture<T>(width: number, height: number, use: (canvas: HTMLCanvasElement) => T, options: { camera?: Camera; bare?: boolean } = {}): T {
     try {
-      renderer.setPixelRatio(1);
-      renderer.setSize(width, height, false);
-      orbit.resize(width, height);
-      camera?.();
-      this.draw();
+      this.renderer.setPixelRatio(1);
+      this.renderer.setSize(width, height, false);
+      this.orbit.resize(width, height);
+      this.draw(options.camera, options.bare);
       return use(this.canvas);
     } finally {
-      if (camera) {
-        orbit.camera.position.copy(kept.position);
-        orbit.target.copy(kept.target);
-        orbit.camera.quaternion.copy(kept.turn);
-      }
       this.resize(...this.size);
     }
   }
