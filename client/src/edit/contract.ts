@@ -162,8 +162,8 @@ export interface Editor {
   operate(name: string, parameters: Record<string, unknown>): Promise<void>;
   undo(): void;
   redo(): void;
-  /** Local values set by hand and not keyed yet, by channel key: shown over the animation until time moves or they are keyed. */
-  readonly posed: ReadonlyMap<string, readonly number[]>;
+  /** Local values set by hand and not keyed yet, by channel key: shown over the animation until time moves or they are keyed. May be set, to take such a pose back. */
+  posed: ReadonlyMap<string, readonly number[]>;
   /**
    * Set local values of joints (whole translation, rotation wxyz or scale) by hand. With auto-key they are keyed at the
    * current time when `done`; without, they stay until time moves. While dragging, `done` is false.

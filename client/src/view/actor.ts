@@ -254,6 +254,11 @@ export class Actor {
     if (this.ghosts) this.root.add(this.ghosts.group);
   }
 
+  /** When the visible ghosts stand. */
+  ghostTimes(): number[] {
+    return this.ghosts?.times() ?? [];
+  }
+
   paint(palette: Palette, marks: Marks): void {
     this.solid?.paint(palette.bone, palette, marks);
     this.bones?.paint(palette.overlayBone, palette, marks);

@@ -20,6 +20,7 @@ export interface GhostSettings {
 interface Ghost {
   /** Its place: the n-th before (negative) or after. */
   place: number;
+  time: number;
   body: Body | null;
   sticks: Sticks | null;
 }
@@ -42,7 +43,7 @@ export class Ghosts {
     const plainDepth = this.keep(ghostDepthMaterial(behind));
     const add = (place: number, color: THREE.Color, strength: number, order: number) => {
       const plain = this.keep(ghostMaterial(color, strength, behind));
-      const ghost: Ghost = { place, body: null, sticks: null };
+      const ghost: Ghost = { place, time: NaN, body: null, sticks: null };
       if (actor.hasMesh) {
         ghost.body = new Body(actor.sources, actor.morphNames.length, (source) =>
           // parts that morph need materials of their own, because these hold the weights
@@ -76,11 +77,16 @@ export class Ghosts {
       const visible = at >= animation.start - 1e-6 && at <= animation.end + 1e-6;
       if (ghost.body) ghost.body.group.visible = visible;
       if (ghost.sticks) ghost.sticks.lines.visible = visible;
+      ghost.time = visible ? at : NaN;
       if (!visible) continue;
       actor.evaluate(at, this.pose, this.world);
       ghost.body?.write(this.world, this.pose.morphs);
       ghost.sticks?.write(this.world);
     }
+  }
+
+  times(): number[] {
+    return this.ghosts.map((ghost) => ghost.time).filter((time) => time === time);
   }
 
   /** When the n-th ghost stands; NaN where there is no such key. */
