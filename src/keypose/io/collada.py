@@ -129,7 +129,17 @@ class _Reader:
         parts = self.parts(bound, joint_of_node, morph_names)
         characters: tuple[Character, ...] = ()
         if len(skeleton.names):
-            characters = (Character(skeleton, tuple(parts), self.scene_name or name, tuple(morph_names), rest_weights),)
+            orders = {skeleton.names[joint]: self.nodes[node].euler_order for node, joint in joint_of_node.items()}
+            characters = (
+                Character(
+                    skeleton,
+                    tuple(parts),
+                    self.scene_name or name,
+                    tuple(morph_names),
+                    rest_weights,
+                    extras={"euler_orders": {joint: order for joint, order in orders.items() if order}},
+                ),
+            )
         weights = {id(b.morph.source): b.morph.channels for b in bound if b.morph}
         found = clips(self.document, animations, joint_of_node, skeleton.names, weights, self.unit_m, turns, name)
         return Scene(characters, tuple(found), "collada", self.unit_m, self.up, tuple(self.document.notes))

@@ -32,6 +32,20 @@ class Node:
     def is_joint(self) -> bool:
         return self.element.get("type").upper() == "JOINT"
 
+    @property
+    def euler_order(self) -> str:
+        """The axes of its rotations in their order where each is about an axis of its own, else nothing."""
+        order = ""
+        for kind, _, numbers in self.transforms:
+            if kind in ("matrix", "lookat", "skew"):
+                return ""
+            if kind == "rotate":
+                along = np.flatnonzero(numbers[:3])
+                if len(along) != 1 or numbers[along[0]] <= 0 or "XYZ"[along[0]] in order:
+                    return ""  # such as the two of a joint's own orientation and its motion
+                order += "XYZ"[along[0]]
+        return order
+
 
 def scene_nodes(document: Document) -> tuple[list[Node], str]:
     """All nodes of the scene that the file shows, parents first, instances of library nodes included; the scene's name."""
