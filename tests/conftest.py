@@ -19,6 +19,12 @@ except ImportError:
     pass
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Unsaved work of studios that tests start never lands among the user's own."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
 def find_data_dir() -> Path | None:
     """The real files: KEYPOSE_DATA, else ../shared/data beside the checkout."""
     named = os.environ.get("KEYPOSE_DATA")

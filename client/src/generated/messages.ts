@@ -231,6 +231,28 @@ export interface ProjectCharacter {
   timeline: string;
 }
 
+/** What an operator asks for; ``unit`` is frames, m, deg, s or empty. */
+export interface OperatorParameter {
+  name: string;
+  label: string;
+  kind: "number" | "integer" | "boolean" | "choice";
+  default: number | boolean | string;
+  low: number | null;
+  high: number | null;
+  unit: string;
+  choices: string[];
+  help: string;
+}
+
+/** An operator as its form is drawn; ``GET api/project/operators`` lists all. */
+export interface OperatorSpec {
+  name: string;
+  label: string;
+  group: string;
+  help: string;
+  parameters: OperatorParameter[];
+}
+
 /** Where the project stands; in every message about it. */
 export interface ProjectStatus {
   name: string;
@@ -239,6 +261,7 @@ export interface ProjectStatus {
   saved_revision: number;
   undo: string;
   redo: string;
+  unsafe: string;
 }
 
 /** A project that was not saved before its studio ended; ``changed_s`` is seconds since 1970. */

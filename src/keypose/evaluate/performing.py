@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
+from keypose.evaluate.baking import to_clip
 from keypose.evaluate.timeline import bake_timeline
-from keypose.model import Character, Clip, Document, Layer, LayerMode, Motion, Scene, Timeline
+from keypose.model import (
+    Character,
+    Clip,
+    Document,
+    Layer,
+    LayerMode,
+    Motion,
+    Placement,
+    Scene,
+    Timeline,
+)
+
+LONGEST_NAME = 200
+BASE_LAYER = "Base"
+FILM_HZ = 25.0
+"""Frames per second of new clips and timelines: film's (lecture notes)."""
 
 
 def perform(
@@ -13,8 +30,7 @@ def perform(
 ) -> Scene:
     """The characters of a document with what their timelines make of them, then the clips that no timeline uses.
 
-    A timeline that only plays a clip as it is gives that clip, with its keys, under the timeline's name; any other is baked
-    at its rate or ``rate_hz``. With ``character``, that one alone with its own ``timeline`` (or another one that is named),
+    A timeline that only plays a clip as it is gives that clip, with its keys; any other is baked at its rate or ``rate_hz``. With ``character``, that one alone with its own ``timeline`` (or another one that is named),
     and nothing else.
 
     Raises:
@@ -48,11 +64,51 @@ def performance(
     """
     alone = None if rate_hz is not None else _only_clip(document, timeline)
     if alone is not None:
-        return replace(alone, name=timeline.name, rate_hz=alone.rate_hz or timeline.rate_hz)
+        return alone
     motion = bake_timeline(
         timeline, document.clips, character.skeleton, rate_hz, character.morph_names, character.rest_morph_weights
     )
     return replace(motion, name=timeline.name)
+
+
+def to_document(scene: Scene, name: str = "") -> Document:
+    """A document of a scene: its characters, its animations as clips, and a timeline that plays the first to the first.
+
+    Motions become one key per frame (`to_clip`). Names that are there twice are numbered.
+    """
+    characters: dict[str, Character] = {}
+    for character in scene.characters:
+        free = unique_name(character.name or "Character", characters)
+        characters[free] = replace(character, name=free)
+    clips: dict[str, Clip] = {}
+    for animation in scene.animations:
+        clip = to_clip(animation, reduce_constant=True) if isinstance(animation, Motion) else animation
+        free = unique_name(clip.name or "Clip", clips)
+        rate = animation.rate_hz if isinstance(animation, Motion) else clip.rate_hz
+        clips[free] = replace(clip, name=free, rate_hz=rate)
+    timelines: dict[str, Timeline] = {}
+    performs: dict[str, str] = {}
+    if characters and clips:
+        who, clip = next(iter(characters)), next(iter(clips.values()))
+        placed = Placement(clip.name, clip.start_s)
+        track = Timeline(
+            (Layer(BASE_LAYER, (placed,)),),
+            who,
+            clip.rate_hz or FILM_HZ,
+            min(0.0, clip.start_s),
+            max(0.0, clip.end_s),
+        )
+        timelines[who], performs[who] = track, who
+    return Document(name, characters, clips, timelines, performs=performs)
+
+
+def unique_name(wanted: str, taken: Collection[str]) -> str:
+    """``wanted`` where it is free, else with the first free number behind it; cut to what a name may be."""
+    wanted = "".join(c for c in wanted if c.isprintable()).strip()[: LONGEST_NAME - 8] or "Unnamed"
+    name, number = wanted, 2
+    while name in taken:
+        name, number = f"{wanted} {number}", number + 1
+    return name
 
 
 def _only_clip(document: Document, timeline: Timeline) -> Clip | None:

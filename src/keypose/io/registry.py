@@ -27,6 +27,8 @@ class Format:
     ``read`` and ``write`` name functions as ``module:function``:
     ``read(path: Path, **options) -> Scene``, ``write(scene: Scene, path: Path, **options) -> notes or None``.
     ``sniff`` says from the first bytes of a file whether it is of this format; an empty ``write`` means read only.
+    ``every_curve`` says that the writer stores curves of all kinds as they are; others are given plain clips
+    (`keypose.evaluate.plain_clip`).
     """
 
     name: str
@@ -34,6 +36,7 @@ class Format:
     sniff: Callable[[bytes], bool]
     read: str
     write: str = ""
+    every_curve: bool = False
 
     def reader(self) -> Callable[..., Any]:
         """The reading function, imported now."""
@@ -96,8 +99,19 @@ def _is_collada(head: bytes) -> bool:
     return re.search(rb"<(?:[A-Za-z_][\w.-]*:)?COLLADA[\s>]", head) is not None
 
 
+def _is_usd(head: bytes) -> bool:
+    if head.startswith(b"PK\x03\x04"):  # a package, whose first file is a layer
+        name = head[30 : 30 + int.from_bytes(head[26:28], "little")]
+        return name.lower().endswith((b".usd", b".usda", b".usdc"))
+    return head.startswith((b"PXR-USDC", b"#usda "))
+
+
 def _is_npz(head: bytes) -> bool:
     return head.startswith(b"PK\x03\x04") and b".npy" in head[30:100]
+
+
+def _is_project(head: bytes) -> bool:
+    return head[8:9] == b"{" and b'"keypose_project"' in head[:200]
 
 
 def _is_safetensors(head: bytes) -> bool:
@@ -136,6 +150,9 @@ register(Format("fbx", (".fbx",), _is_fbx, "keypose.io.fbx:read", "keypose.io.fb
 register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("collada", (".dae",), _is_collada, "keypose.io.collada:read", "keypose.io.collada:write"))
+register(
+    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), _is_usd, "keypose.io.usd:read", "keypose.io.usd:write"),
+)
 register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
 register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
 register(Format("trc", (".trc",), _is_trc, "keypose.io.trc:read", "keypose.io.trc:write"))
@@ -145,6 +162,9 @@ register(Format("livelink", (".csv",), _is_livelink, "keypose.io.livelink:read",
 register(Format("textgrid", (".textgrid",), _is_textgrid, "keypose.io.textgrid:read", "keypose.io.textgrid:write"))
 register(Format("hts", (".lab",), _no_mark, "keypose.io.labels:read"))
 register(Format("npz", (".npz",), _is_npz, "keypose.io.arrays_npz:read", "keypose.io.arrays_npz:write"))
+register(
+    Format("keypose", (".keypose",), _is_project, "keypose.io.native:read", "keypose.io.native:write", every_curve=True)
+)
 register(
     Format(
         "safetensors",

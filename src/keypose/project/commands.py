@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
 from keypose.errors import KeyposeError, ShapeError
+from keypose.evaluate.performing import FILM_HZ
 from keypose.io import native_values as values
 from keypose.io.json_values import Json
 from keypose.io.native_characters import character_json, read_character
@@ -55,7 +56,7 @@ class SetCurves:
     def apply(self, document: Document) -> Document:
         """The document with the clip changed."""
         check_name(self.clip, "clip")
-        clip = document.clips.get(self.clip) or Clip({}, self.clip)
+        clip = document.clips.get(self.clip) or Clip({}, self.clip, FILM_HZ)
         gone = set(self.removed)
         curves = {channel: curve for channel, curve in clip.curves.items() if channel not in gone} | dict(self.curves)
         orders = {**clip.euler_orders, **self.euler_orders}

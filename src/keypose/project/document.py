@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from keypose.errors import ShapeError, UnknownName
+from keypose.evaluate import to_clip
+from keypose.evaluate.performing import BASE_LAYER, FILM_HZ, LONGEST_NAME, unique_name
 from keypose.model import (
     Channel,
     Character,
@@ -19,12 +19,8 @@ from keypose.model import (
     Layer,
     Motion,
     Placement,
-    Property,
     Timeline,
 )
-
-LONGEST_NAME = 200
-BASE_LAYER = "Base"
 
 
 def add_character(document: Document, character: Character) -> Document:
@@ -37,11 +33,11 @@ def add_character(document: Document, character: Character) -> Document:
     name = unique_name(wanted, document.characters)
     track = unique_name(name, document.timelines)
     clip = unique_name(name, document.clips)
-    timeline = Timeline((Layer(BASE_LAYER, (Placement(clip, in_s=0.0),)),), track)
+    timeline = Timeline((Layer(BASE_LAYER, (Placement(clip, in_s=0.0),)),), track, FILM_HZ)
     return replace(
         document,
         characters={**document.characters, name: replace(character, name=name)},
-        clips={**document.clips, clip: Clip({}, clip, timeline.rate_hz)},
+        clips={**document.clips, clip: Clip({}, clip, FILM_HZ)},
         timelines={**document.timelines, track: timeline},
         performs={**document.performs, name: track},
     )
@@ -49,20 +45,9 @@ def add_character(document: Document, character: Character) -> Document:
 
 def import_animation(document: Document, animation: Clip | Motion) -> Document:
     """The document with a copy of an animation as a clip; a motion becomes one key per frame (`evaluate.to_clip`)."""
-    from keypose.evaluate import to_clip
-
     clip = to_clip(animation, reduce_constant=True) if isinstance(animation, Motion) else animation
     name = unique_name(clip.name or "Clip", document.clips)
     return replace(document, clips={**document.clips, name: replace(clip, name=name)})
-
-
-def unique_name(wanted: str, taken: Collection[str]) -> str:
-    """``wanted`` where it is free, else with the first free number behind it; cut to what a name may be."""
-    wanted = "".join(c for c in wanted if c.isprintable()).strip()[: LONGEST_NAME - 8] or "Unnamed"
-    name, number = wanted, 2
-    while name in taken:
-        name, number = f"{wanted} {number}", number + 1
-    return name
 
 
 def check_name(name: str, kind: str) -> None:
@@ -76,11 +61,11 @@ def check_name(name: str, kind: str) -> None:
 
 
 def check(document: Document) -> None:
-    """Whether all names that the document uses are there, and no joint is turned in two ways at once.
+    """Whether all names that the document uses are there.
 
     Raises:
         UnknownName: where a placement names no clip, or a performance no character or timeline; names the nearest.
-        ShapeError: where a joint of a clip has both ROTATION and EULER channels, or a setting is not finite.
+        ShapeError: where a setting is not finite.
     """
     for timeline in document.timelines.values():
         for layer in timeline.layers:
@@ -89,22 +74,9 @@ def check(document: Document) -> None:
     for character, timeline in document.performs.items():
         document.character(character)
         document.timeline(timeline)
-    for clip in document.clips.values():
-        _check_turns(clip)
     for name, value in document.settings.items():
         if isinstance(value, float) and not math.isfinite(value):
             raise ShapeError(f"setting '{name}': expected a finite number, got {value}")
-
-
-def _check_turns(clip: Clip) -> None:
-    eulers = {c.target for c in clip.curves if c.property is Property.EULER}
-    if not eulers:
-        return
-    both = next((c.target for c in clip.curves if c.property is Property.ROTATION and c.target in eulers), None)
-    if both is not None:
-        raise ShapeError(
-            f"clip '{clip.name}': joint '{both}' has both rotation and Euler curves; one of them has to go"
-        )
 
 
 # ---- the difference ----------------------------------------------------------------------------------------------------
@@ -174,9 +146,10 @@ def same_curve(one: Curve, other: Curve) -> bool:
 
 
 def _same_array(one: Any, other: Any) -> bool:
-    if one is None or other is None:
+    if one is other or one is None or other is None:
         return one is other
-    return one is other or (one.dtype == other.dtype and np.array_equal(one, other))
+    # as bytes: 0 and -0 are not the same number to whoever divides by it
+    return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
 
 
 def _gone(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[str, ...]:

@@ -44,22 +44,39 @@ class History:
         return self._future[-1].label if self._future else ""
 
     @property
+    def undo_document(self) -> Document | None:
+        """What `undo` would give back; None where there is nothing."""
+        return self._past[-1].document if self._past else None
+
+    @property
+    def redo_document(self) -> Document | None:
+        """What `redo` would give; None where there is nothing."""
+        return self._future[-1].document if self._future else None
+
+    @property
     def steps(self) -> int:
         """How many steps can be undone."""
         return len(self._past)
 
-    def do(self, document: Document, label: str, *, merge: str = "", at_s: float = 0.0) -> None:
-        """Go on to a new document; what could be redone is forgotten.
+    @property
+    def redo_steps(self) -> int:
+        """How many steps can be redone."""
+        return len(self._future)
+
+    def do(self, document: Document, label: str, *, merge: str = "", at_s: float = 0.0) -> bool:
+        """Go on to a new document; what could be redone is forgotten. Returns whether it became one with the last step.
 
         A step of the same ``merge`` key as the last one, not empty, and less than `MERGE_S` after it, becomes one with it.
         """
         last = self._past[-1] if self._past and not self._future else None
-        if last is not None and merge and merge == last.merge and 0 <= at_s - last.at_s < MERGE_S:
+        merged = last is not None and bool(merge) and merge == last.merge and 0 <= at_s - last.at_s < MERGE_S
+        if merged and last is not None:
             self._past[-1] = Step(last.document, label or last.label, merge, at_s)
         else:
             self._past.append(Step(self.document, label, merge, at_s))
         self._future.clear()
         self._go(document)
+        return merged
 
     def undo(self) -> str:
         """Back to the document before the last step; returns the step's label, empty where there is none."""

@@ -1,15 +1,18 @@
 """The studio's routes.
 
-========  =========================  ======================================================
-GET       ``/?token=…``              the page
-GET       ``/assets/…``              its scripts and styles (the same for everyone; no token)
-WS        ``/api/events?token=…``    messages, see `keypose.studio.messages`
-WS        ``/api/crowd?token=…``     a crowd, see `keypose.studio.crowd`
-GET       ``/api/scenes/{id}``       one scene as a binary container
-POST      ``/api/scenes``            dropped files as a binary container
-GET       ``/api/takes/{id}/{kind}`` a recording of the play page as a file: glb or bvh
-POST      ``/api/project/edit``      a change of the project, see `keypose.studio.edit_messages`
-========  =========================  ======================================================
+========  =============================  ====================================================
+GET       ``/?token=…``                  the page
+GET       ``/assets/…``                  its scripts and styles (the same for everyone; no token)
+WS        ``/api/events?token=…``        messages, see `keypose.studio.messages`
+WS        ``/api/crowd?token=…``         a crowd, see `keypose.studio.crowd`
+GET       ``/api/scenes/{id}``           one scene as a binary container
+POST      ``/api/scenes``                dropped files as a binary container
+GET       ``/api/takes/{id}/{kind}``     a recording of the play page as a file: glb or bvh
+POST      ``/api/project/edit``          a change of the project, see `keypose.studio.edit_messages`
+POST      ``/api/project/operate``       an operator run on it
+GET       ``/api/project/operators``     what operators there are
+GET       ``/api/project/export/{kind}`` the project as a file; ``character`` and ``timeline`` name what of it
+========  =============================  ====================================================
 
 Only these exist. Static files are read into memory at start and looked up by their exact path, so there is no path to
 climb out of.
@@ -20,7 +23,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import tempfile
-from collections.abc import Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
@@ -30,7 +33,8 @@ from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import messages
 from keypose.studio.crowd import crowd_events
-from keypose.studio.edit_messages import ProjectRequest
+from keypose.studio.edit_messages import EditResult, ProjectRequest
+from keypose.studio.edit_operators import operator_specs
 from keypose.studio.edit_wire import EDIT_LIMIT_BYTES
 from keypose.studio.requests import parse_request
 from keypose.studio.session import Session
@@ -123,12 +127,31 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
         return Response(data, media_type="application/octet-stream")
 
     async def edit(request: Request) -> Response:
+        return await posted(request, session.editing.edit)
+
+    async def operate(request: Request) -> Response:
+        return await posted(request, session.editing.operate)
+
+    async def posted(request: Request, act: Callable[[bytes], Awaitable[EditResult]]) -> Response:
         data = await _received(request, EDIT_LIMIT_BYTES)
         if data is None:
             error = f"more than {EDIT_LIMIT_BYTES / 2**20:.0f} MiB cannot be edited at once"
-            return JSONResponse({"id": "", "revision": 0, "error": error, "report": ""}, 413)
-        result = await session.editing.edit(data)
+            return JSONResponse(dataclasses.asdict(EditResult("", 0, error, "")), 413)
+        result = await act(data)
         return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
+
+    async def operators(request: Request) -> Response:
+        return JSONResponse([dataclasses.asdict(spec) for spec in operator_specs()])
+
+    async def export(request: Request) -> Response:
+        asked = request.query_params
+        try:
+            data = await session.editing.export(
+                request.path_params["kind"], asked.get("character") or None, asked.get("timeline") or None
+            )
+        except KeyposeError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        return Response(data, media_type="application/octet-stream")
 
     return Starlette(
         routes=[
@@ -139,6 +162,9 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             Route("/api/scenes", upload, methods=["POST"]),
             Route("/api/takes/{id}/{kind}", take),
             Route("/api/project/edit", edit, methods=["POST"]),
+            Route("/api/project/operate", operate, methods=["POST"]),
+            Route("/api/project/operators", operators),
+            Route("/api/project/export/{kind}", export),
             Route("/{path:path}", asset),
         ]
     )

@@ -116,6 +116,32 @@ class ProjectCharacter:
     timeline: str
 
 
+@dataclass(frozen=True, slots=True)
+class OperatorParameter:
+    """What an operator asks for; ``unit`` is frames, m, deg, s or empty."""
+
+    name: str
+    label: str
+    kind: Literal["number", "integer", "boolean", "choice"]
+    default: float | bool | str
+    low: float | None
+    high: float | None
+    unit: str
+    choices: list[str]
+    help: str
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorSpec:
+    """An operator as its form is drawn; ``GET api/project/operators`` lists all."""
+
+    name: str
+    label: str
+    group: str
+    help: str
+    parameters: list[OperatorParameter]
+
+
 # ---- server to browser -------------------------------------------------------------------------------------------------
 
 
@@ -125,7 +151,8 @@ class ProjectStatus:
 
     ``revision`` counts every change, undo and redo too; ``saved_revision`` is the one that the file holds, so the project
     is saved where both are equal. ``undo`` and ``redo`` say what would be undone and redone, empty for nothing.
-    ``path`` is empty for a project that was never saved.
+    ``path`` is empty for a project that was never saved. ``unsafe`` says why edits would be lost if the studio ended now; it
+    is empty as long as they are journaled.
     """
 
     name: str
@@ -134,6 +161,7 @@ class ProjectStatus:
     saved_revision: int
     undo: str
     redo: str
+    unsafe: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,18 +9,32 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from keypose.errors import KeyposeError, UnknownName
+from keypose.evaluate.performing import perform
+from keypose.io.native import document_bytes
 from keypose.model import Character, Clip, Document, Motion, Scene
-from keypose.project.commands import AddCharacter, Command, RemoveCharacter, import_clip
-from keypose.project.document import difference
-from keypose.project.workspace import Workspace
+from keypose.project.commands import AddCharacter, Command, RemoveCharacter, SetCurves, import_clip
+from keypose.project.document import check_name, difference
+from keypose.project.workspace import UNTITLED, NotSaved, Workspace
 from keypose.studio import edit_messages as edits
 from keypose.studio import messages
 from keypose.studio.container import Body
-from keypose.studio.edit_wire import Edit, complaint, difference_fields, document_fields, read_edit, storing
+from keypose.studio.edit_operators import operated, operator_specs
+from keypose.studio.edit_wire import (
+    Edit,
+    Operation,
+    complaint,
+    difference_fields,
+    document_fields,
+    read_edit,
+    read_operation,
+    storing,
+)
+from keypose.studio.folders import listing
 from keypose.studio.outbox import Outbox
 from keypose.studio.payload import encode
 
@@ -36,6 +50,7 @@ class Editing:
     def __init__(self, session: Session, workspace: Workspace | None = None) -> None:
         self._session = session
         self.workspace = Workspace() if workspace is None else workspace
+        self.recoverable_count = 0
         self._watchers: set[Outbox] = set()
         self._turn = asyncio.Lock()  # one change after the other
         self._numbers = itertools.count(1)
@@ -63,23 +78,41 @@ class Editing:
                     messages.Failure("failure", _TITLES.get(type(request), "This cannot be done"), complaint(error))
                 )
 
+    async def look(self) -> None:
+        """See what could be recovered, before the first page asks."""
+        await self.recoverable()
+
     async def _handle(self, outbox: Outbox, request: edits.ProjectRequest) -> None:
         workspace = self.workspace
         match request:
             case edits.ProjectWatch():
                 self._watchers.add(outbox)
                 await self._send_state([outbox])
-            case edits.ProjectNew(name=name, character=character):
-                document = Document(name.strip() or "Untitled")
+            case edits.ProjectNew(name=name, character=character, discard=discard):
+                document = Document(name.strip() or UNTITLED)
+                check_name(document.name, "project")
                 if character:
                     for one in (await self._scene(character)).characters:
                         document = AddCharacter(one).apply(document)
-                await asyncio.to_thread(workspace.begin, document)
+                await asyncio.to_thread(workspace.begin, document, discard=discard)
                 await self._send_state(self._watchers)
+            case edits.ProjectOpen(path=path, discard=discard):
+                await asyncio.to_thread(workspace.open, path, discard=discard)
+                await self._send_state(self._watchers)
+            case edits.ProjectSave(path=path, force=force):
+                await self._save(outbox, path, force=force)
             case edits.ProjectUndo():
-                await self._change("undo", "", lambda: asyncio.to_thread(workspace.undo))
+                await self._move("undo", workspace.undo)
             case edits.ProjectRedo():
-                await self._change("redo", "", lambda: asyncio.to_thread(workspace.redo))
+                await self._move("redo", workspace.redo)
+            case edits.ProjectRecover(id=id):
+                await asyncio.to_thread(workspace.recover, id)
+                await self._send_state(self._watchers)
+            case edits.ProjectDiscard(id=id):
+                await asyncio.to_thread(workspace.discard, id)
+                await self._send_state([outbox])
+            case edits.ProjectBrowse(folder=folder):
+                outbox.put(await asyncio.to_thread(listing, folder))
             case edits.ProjectAddCharacter(source=source):
                 scene = await self._scene(source)
                 if not scene.characters:
@@ -89,8 +122,6 @@ class Editing:
                 await self._do([RemoveCharacter(name)], f"Remove {name}")
             case edits.ProjectImportClip(source=source, animation=number):
                 await self._import(await self._scene(source), number)
-            case _:
-                raise KeyposeError("this is not possible yet")
 
     async def edit(self, data: bytes) -> edits.EditResult:
         """A page's edit; answers once it cannot be lost any more."""
@@ -100,9 +131,42 @@ class Editing:
             id = asked.id
             async with self._turn:
                 await self._do(asked.commands, asked.label, merge=asked.merge, id=id)
-        except (KeyposeError, OSError, MemoryError) as error:
-            return edits.EditResult(id, self.workspace.history.revision, complaint(error), "")
-        return edits.EditResult(id, self.workspace.history.revision, "", "")
+                revision = self.workspace.history.revision
+            # outside of the turn, so that edits that follow each other quickly wait for the disk together
+            await asyncio.to_thread(self.workspace.sync)
+        except _REFUSALS as error:
+            return self._refused(id, error)
+        return edits.EditResult(id, revision, "", "")
+
+    async def operate(self, data: bytes) -> edits.EditResult:
+        """Run an operator for a page, one step of undo; answers once its result cannot be lost any more."""
+        id = ""
+        try:
+            asked: Operation = await asyncio.to_thread(read_operation, data)
+            id = asked.id
+            async with self._turn:
+                done = await self._operate(asked)
+                revision = self.workspace.history.revision
+            await asyncio.to_thread(self.workspace.sync)
+        except _REFUSALS as error:
+            return self._refused(id, error)
+        return edits.EditResult(id, revision, "", done)
+
+    async def export(self, kind: str, character: str | None, timeline: str | None) -> bytes:
+        """The project, or a character with its timeline, as a file.
+
+        Raises:
+            KeyposeError: where the format cannot hold it, or it names what is not there.
+        """
+        if kind not in EXPORTS:
+            raise UnknownName("export", kind[:20], EXPORTS)
+        document = self.workspace.document
+        if kind == "keypose":
+            return await asyncio.to_thread(document_bytes, document)
+        return await asyncio.to_thread(_exported, document, kind, character, timeline)
+
+    def _refused(self, id: str, error: Exception) -> edits.EditResult:
+        return edits.EditResult(id, self.workspace.history.revision, complaint(error), "")
 
     # ---- doing -------------------------------------------------------------------------------------------------------
 
@@ -136,6 +200,53 @@ class Editing:
         )
         for outbox in self._watchers:
             outbox.put(changed, None, body)
+
+    async def _move(self, cause: Literal["undo", "redo"], act: Callable[[], str]) -> None:
+        def move() -> str:
+            label = act()
+            self.workspace.sync()  # pages hear of it when it cannot be lost any more
+            return label
+
+        history = self.workspace.history
+        if history.undo_label or history.steps if cause == "undo" else history.redo_steps:
+            await self._change(cause, "", lambda: asyncio.to_thread(move))
+
+    async def _operate(self, asked: Operation) -> str:
+        """Change a clip by an operator; returns its report."""
+        document = self.workspace.document
+        clip = document.clip(asked.clip)
+        who = document.character(asked.character) if asked.character else None
+        job = f"operate {next(self._jobs)}"
+        loop = asyncio.get_running_loop()
+
+        def report(fraction: float) -> None:
+            message = messages.Progress("progress", job, asked.operator.replace("_", " "), fraction, done=False)
+            loop.call_soon_threadsafe(self._session.broadcast, message, job)
+
+        try:
+            result = await asyncio.to_thread(operated, asked, clip, who, report)
+            # only what the operator changed goes to the journal
+            after = replace(document, clips={**document.clips, clip.name: result.clip})
+            commands: list[Command] = [
+                SetCurves(clip.name, change.curves, change.removed, change.clip.euler_orders)
+                for change in difference(document, after).clips
+            ]
+            if commands:
+                await self._do(commands, result.label, id=asked.id)
+        finally:
+            self._session.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
+        return result.report
+
+    async def _save(self, outbox: Outbox, path: str | None, *, force: bool) -> None:
+        async def act() -> str:
+            await asyncio.to_thread(self.workspace.save, path, force=force)
+            return "Save"
+
+        try:
+            await self._change("save", "", act)
+        except NotSaved as error:
+            refused = edits.ProjectNotSaved("project_not_saved", error.path, error.reason, str(error))
+            outbox.put(refused)
 
     async def _import(self, scene: Scene, number: int) -> None:
         found: list[Clip | Motion] = list(scene.animations)
@@ -174,6 +285,7 @@ class Editing:
             saved_revision=workspace.saved_revision,
             undo=history.undo_label,
             redo=history.redo_label,
+            unsafe=workspace.unsafe,
         )
 
     async def _send_state(self, outboxes: Any) -> None:
@@ -182,14 +294,20 @@ class Editing:
             type="project_state",
             status=self._status(),
             characters=await self._characters(),
-            recoverable=[],
-            operators=[],
+            recoverable=await self.recoverable(),
+            operators=[spec.name for spec in operator_specs()],
             exports=list(EXPORTS),
             folder=str(Path.cwd()),
             **document_fields(self.workspace.document, storing(body)),
         )
         for outbox in outboxes:
             outbox.put(state, None, body)
+
+    async def recoverable(self) -> list[edits.Recoverable]:
+        """Projects that were not saved before their studios ended."""
+        found = await asyncio.to_thread(self.workspace.recoverable)
+        self.recoverable_count = len(found)
+        return [edits.Recoverable(u.id, u.name, u.path, u.edits, u.changed_s) for u in found]
 
     async def _characters(self) -> list[edits.ProjectCharacter]:
         document = self.workspace.document
@@ -208,6 +326,20 @@ class Editing:
             )
             self._shown[key] = character, messages.SceneEntry(number, character.name, len(data)), data
         return self._shown[key][1]
+
+
+_REFUSALS = (KeyposeError, OSError, MemoryError)
+
+
+def _exported(document: Document, kind: str, character: str | None, timeline: str | None) -> bytes:
+    """A character with its timeline, or the other way round; all of the project where neither is named."""
+    from keypose.studio.app import written
+
+    if character is None and timeline is not None:
+        document.timeline(timeline)
+        character = next((who for who, name in document.performs.items() if name == timeline), None)
+        character = next(iter(document.characters), None) if character is None else character
+    return written(perform(document, character, timeline), kind)
 
 
 _TITLES: dict[type, str] = {

@@ -17,6 +17,8 @@ from keypose.studio.guard import Guard, bracketed, is_loopback
 from keypose.studio.session import UPLOAD_LIMIT_BYTES, Session, open_references
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import uvicorn
 
     from keypose.studio.graphs import OpenedGraph
@@ -35,12 +37,13 @@ def serve(
 ) -> None:
     """Open files in the studio and serve it until Ctrl-C.
 
-    ``references`` are paths or ``sample:`` names of scenes and animation graphs; where there is a graph, the page begins
-    with playing it. ``port`` 0 takes a free one. As soon as the server listens, ``ready`` is called with the URL; without
+    ``references`` are paths or ``sample:`` names of scenes and animation graphs, and at most one project; where there is a
+    project, the page begins with editing it, else where there is a graph, with playing it. ``port`` 0 takes a free one. As soon as the server listens, ``ready`` is called with the URL; without
     ``ready`` one line with the URL is printed.
 
     Raises:
         FormatError, UnknownName: where a file cannot be opened (before anything is served).
+        Locked: where the project is open in another studio.
         ShapeError: where ``host`` can be reached from other machines and ``allow_remote`` is not set.
         KeyposeError: where the address cannot be used, or the client was not built.
     """
@@ -51,16 +54,33 @@ def serve(
         )
     from keypose.studio.graphs import is_graph_name, open_graph
 
+    projects = [r for r in references if r.lower().endswith(".keypose")]
+    if len(projects) > 1:
+        raise ShapeError(f"{projects[1]}: only one project can be open; {projects[0]} is it")
     named = [r for r in references if is_graph_name(r)]
     graphs = [open_graph(reference, f"file:{n}") for n, reference in enumerate(named)]
-    scenes = open_references(r for r in references if r not in named)
-    StudioServer(scenes, host, port, graphs=graphs, open_browser=open_browser, ready=ready).run()
+    scenes = open_references(r for r in references if r not in named and r not in projects)
+    StudioServer(
+        scenes,
+        host,
+        port,
+        graphs=graphs,
+        project=projects[0] if projects else None,
+        open_browser=open_browser,
+        ready=ready,
+    ).run()
 
 
 class StudioServer:
     """A studio that `run` serves and `stop` (from any thread) ends.
 
-    The built-in graphs can always be played; where others are given, the page begins with the last of those.
+    The built-in graphs can always be played; where others are given, the page begins with the last of those, and where a
+    ``project`` is given, with editing that. ``state``: the folder where unsaved work is kept, the user's own if not given.
+
+    Raises:
+        FormatError: where the project cannot be opened.
+        Locked: where another studio has it open.
+        KeyposeError: where the address cannot be used, or the client was not built.
     """
 
     def __init__(
@@ -70,10 +90,13 @@ class StudioServer:
         port: int = 0,
         *,
         graphs: Sequence[OpenedGraph] = (),
+        project: str | None = None,
+        state: Path | None = None,
         open_browser: bool = False,
         ready: Callable[[str], None] | None = None,
         upload_limit_bytes: int | None = None,
     ) -> None:
+        from keypose.project.workspace import Workspace
         from keypose.studio.app import read_static
 
         self.token = secrets.token_urlsafe(24)
@@ -83,7 +106,14 @@ class StudioServer:
         self._ready = ready or _print_url
         self._upload_limit_bytes = upload_limit_bytes
         self._server: uvicorn.Server | None = None
-        self._socket = _bind(host, port)
+        self._workspace, self._edits = Workspace(state), project is not None
+        if project is not None:
+            self._workspace.open(project)
+        try:
+            self._socket = _bind(host, port)
+        except KeyposeError:
+            self._workspace.close()
+            raise
         self.host, self.port = host, int(self._socket.getsockname()[1])
         shown = LOOPBACK if host in ("0.0.0.0", "") else "::1" if host == "::" else host
         self.url = f"http://{bracketed(shown)}:{self.port}/?token={self.token}"
@@ -100,6 +130,7 @@ class StudioServer:
         except KeyboardInterrupt:
             pass  # uvicorn has already shut down; it raises the interrupt again for those who want to know
         finally:
+            self._workspace.close()
             self._socket.close()
 
     def stop(self) -> None:
@@ -116,8 +147,10 @@ class StudioServer:
         session = Session(
             UPLOAD_LIMIT_BYTES if self._upload_limit_bytes is None else self._upload_limit_bytes,
             graphs=[*built_ins(), *self._graphs],
-            start="play" if self._graphs else "view",
+            start="edit" if self._edits else "play" if self._graphs else "view",
+            workspace=self._workspace,
         )
+        await session.editing.look()
         app = Guard(build_app(session, self._static), token=self.token, host=self.host, port=self.port)
         config = uvicorn.Config(
             app,

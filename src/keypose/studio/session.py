@@ -21,6 +21,7 @@ from keypose.studio.payload import encode
 from keypose.studio.uploads import open_upload
 
 if TYPE_CHECKING:
+    from keypose.project.workspace import Workspace
     from keypose.studio.desk import PlayDesk
     from keypose.studio.graphs import OpenedGraph
 
@@ -38,6 +39,7 @@ class Session:
         upload_limit_bytes: int = UPLOAD_LIMIT_BYTES,
         graphs: Sequence[OpenedGraph] = (),
         start: Literal["view", "play", "edit"] = "view",
+        workspace: Workspace | None = None,
     ) -> None:
         self.upload_limit_bytes = upload_limit_bytes
         self.graphs = {opened.entry.id: opened for opened in graphs}
@@ -49,7 +51,7 @@ class Session:
         self._take_numbers = itertools.count(1)
         self.outboxes: set[Outbox] = set()
         self._scenes: dict[str, tuple[messages.SceneEntry, bytes, Scene]] = {}
-        self.editing = Editing(self)
+        self.editing = Editing(self, workspace)
         self._expected = 0
         self._ids = itertools.count(1)
         self._jobs = itertools.count(1)
@@ -72,7 +74,7 @@ class Session:
                 graphs=[opened.entry for opened in self.graphs.values()],
                 start=self._start,
                 graph=self._first_graph,
-                recoverable=0,
+                recoverable=self.editing.recoverable_count,
             )
         )
         self.outboxes.add(outbox)
