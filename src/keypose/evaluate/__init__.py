@@ -5,6 +5,7 @@ from keypose.evaluate.blending import add, blend, difference
 from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
+from keypose.evaluate.plain import PlainClip, is_plain, plain_clip
 from keypose.evaluate.rates import key_rate
 from keypose.evaluate.sampling import sample, sample_clip, sample_morphs, sample_motion, sample_value, unmatched
 from keypose.evaluate.timeline import (
@@ -21,18 +22,21 @@ from keypose.evaluate.timeline import (
 __all__ = [
     "KeyedValue",
     "MatchReport",
+    "PlainClip",
     "add",
     "bake",
     "bake_timeline",
     "blend",
     "difference",
     "exposed_times",
+    "is_plain",
     "key_rate",
     "local",
     "match",
     "match_report",
     "placement_duration",
     "placement_times",
+    "plain_clip",
     "reduce_keys",
     "resample",
     "sample",

@@ -13,6 +13,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from keypose.errors import FormatError, ShapeError
 from keypose.io.registry import (
     HEAD_BYTES,
@@ -24,7 +26,7 @@ from keypose.io.registry import (
     register,
     unknown_format,
 )
-from keypose.model import Character, Clip, ForcePlate, Markers, Motion, Scene, Signals, Skeleton
+from keypose.model import Character, Clip, ForcePlate, Markers, Motion, Pose, Scene, Signals, Skeleton
 
 __all__ = ["Format", "formats", "load", "register", "save"]
 
@@ -73,13 +75,46 @@ def save(scene: _Storable | Iterable[_Storable], path: str | PathLike[str], **op
     if chosen is None or not chosen.write:
         raise unknown_format(path, writing=True)
     writer = chosen.writer()
+    content, remarks = _as_scene(scene), tuple[str, ...]()
+    if not chosen.every_curve:
+        content, remarks = _with_plain_clips(content)
     try:
-        notes = writer(_as_scene(scene), path, **checked_options(writer, options, chosen.name))
+        notes = writer(content, path, **checked_options(writer, options, chosen.name))
     except FormatError as error:
         raise (error if error.path else error.at(path)) from None
     except OSError as error:
         raise FormatError(f"cannot be written: {error.strerror or error}", path=error.filename or path) from None
-    return tuple(notes or ())
+    return (*remarks, *(notes or ()))
+
+
+_NO_SKELETON = Skeleton((), np.zeros(0, np.int32), Pose(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3))))
+
+
+def _with_plain_clips(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """The scene as formats know clips: whole channels in steps, lines and Hermite cubics, and notes of what that took."""
+    if not any(isinstance(a, Clip) for a in scene.animations):
+        return scene, ()
+    from keypose.evaluate import match_report, plain_clip
+
+    skeletons = [c.skeleton for c in scene.characters] or [_NO_SKELETON]
+    animations: list[Motion | Clip] = []
+    notes: list[str] = []
+    for animation in scene.animations:
+        if isinstance(animation, Clip):
+            clip = animation
+            nearest = (
+                max(skeletons, key=lambda s: len(match_report(clip, s).sources)) if len(skeletons) > 1 else skeletons[0]
+            )
+            plain = plain_clip(clip, nearest)
+            notes.extend(plain.notes)
+            if plain.converted:
+                notes.append(
+                    f"clip '{clip.name}': {plain.converted} channels of Bezier handles, Euler angles, single components or "
+                    f"rotation splines are written as Hermite keys, no further than {plain.error:.2g} from them"
+                )
+            animation = plain.clip
+        animations.append(animation)
+    return replace(scene, animations=tuple(animations)), tuple(notes)
 
 
 def _head(path: Path) -> bytes:
