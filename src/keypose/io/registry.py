@@ -37,7 +37,6 @@ class Format:
     read: str
     write: str = ""
     every_curve: bool = False
-    every_curve: bool = False
 
     def reader(self) -> Callable[..., Any]:
         """The reading function, imported now."""
