@@ -98,8 +98,7 @@ def follow_through(
         )
         for j in order
     }
-    kept = {c: curve for c, curve in clip.curves.items() if not (c.property is Property.EULER and c.target in places)}
-    return with_curves(replace(clip, curves=kept), made)
+    return with_curves(clip, made)
 
 
 def lag(clip: Clip, skeleton: Skeleton, joint: str, times_s: Array, other: Clip) -> Array:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from math import atan2, ceil, exp, log, pi, sqrt
+from math import atan2, ceil, exp, isfinite, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -270,7 +270,9 @@ def _swing(frequency_hz: float, damping: float, room_s: float) -> tuple[Array, A
     peak = atan2(swing, damping * natural) / swing  # when it turns for the first time
     start = natural * exp(damping * natural * peak)  # the speed whose first turn is at 1
     # Until a turn is below two hundredths of the first one, or as long as there is room.
-    turns = min(ceil(log(50.0) / (damping * natural * half)) + 1, int((0.95 * room_s - peak) / half) + 1)
+    turns = ceil(log(50.0) / (damping * natural * half)) + 1
+    if isfinite(room_s):
+        turns = min(turns, int((0.95 * room_s) / half))
     times: list[float] = [0.0]
     for n in range(max(turns, 1)):
         times += [peak + n * half, (n + 1) * half]

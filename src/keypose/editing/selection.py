@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from keypose.errors import ShapeError, UnknownName
-from keypose.model import Channel, Clip, Curve
+from keypose.model import Channel, Clip, Curve, Property
 
 # Times that differ by less are one: a thousandth of a frame at 25 per second.
 SAME_TIME_S = 4e-5
@@ -86,8 +86,10 @@ def bounds(selection: Selection) -> tuple[float, float]:
 
 
 def with_curves(clip: Clip, curves: Mapping[Channel, Curve]) -> Clip:
-    """The clip with some curves replaced or added."""
-    return replace(clip, curves={**clip.curves, **curves})
+    """The clip with some curves replaced or added; a joint that gets a rotation curve loses its Euler angles."""
+    turned = {c.target for c in curves if c.property is Property.ROTATION}
+    kept = {c: v for c, v in clip.curves.items() if not (c.property is Property.EULER and c.target in turned)}
+    return replace(clip, curves={**kept, **curves})
 
 
 def edited(clip: Clip, selection: Selection, change: Callable[[Channel, Curve], Curve]) -> Clip:
