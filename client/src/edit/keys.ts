@@ -17,12 +17,12 @@ export interface Keyed {
   readonly indices: Uint32Array;
 }
 
-/** time' = scaleTime * time + shiftTime, value' = scaleValue * value + shiftValue. */
+/** time' = scaleTime * time + shiftTime, value' = scaleValue * value + shiftValue (one for all components or one for each). */
 export interface Transform {
   readonly scaleTime: number;
   readonly shiftTime: number;
   readonly scaleValue: number;
-  readonly shiftValue: number;
+  readonly shiftValue: number | ArrayLike<number>;
 }
 
 export const STILL: Transform = { scaleTime: 1, shiftTime: 0, scaleValue: 1, shiftValue: 0 };
@@ -256,7 +256,7 @@ function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, m
     if (inTime) times[k] = scaleTime * times[k] + shiftTime;
     for (let c = 0; c < width; c++) {
       const i = k * width + c, on = (mask >> c) & 1, grown = on ? scaleValue : 1;
-      if (inValue && on) values[i] = scaleValue * values[i] + shiftValue;
+      if (inValue && on) values[i] = scaleValue * values[i] + (typeof shiftValue === "number" ? shiftValue : shiftValue[c]);
       if (scaleTime === 1 && grown === 1) continue;
       if (inTangents && outTangents) {
         inTangents[i] *= grown / (scaleTime || 1);
