@@ -27,7 +27,14 @@ ARRAY, FACTS = b"array   ", b"facts   "
 _WALL_PER_CPU = 4.0  # how much longer a busy machine may take
 _FILES_AT_ONCE = 64
 
-_CODES = {"d": np.dtype("<f8"), "f": np.dtype("<f4"), "I": np.dtype("<u4"), "i": np.dtype("<i4"), "B": np.dtype("u1")}
+_CODES = {
+    "d": np.dtype("<f8"),
+    "f": np.dtype("<f4"),
+    "e": np.dtype("<f2"),
+    "I": np.dtype("<u4"),
+    "i": np.dtype("<i4"),
+    "B": np.dtype("u1"),
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from array import array
 from importlib.machinery import SourceFileLoader
 
 ARRAY, FACTS = b"array   ", b"facts   "
-SIZES = {"d": 8, "f": 4, "I": 4, "i": 4, "B": 1}
+SIZES = {"d": 8, "f": 4, "e": 2, "I": 4, "i": 4, "B": 1}
 
 
 class Refusal(Exception):
