@@ -91,7 +91,10 @@ def trajectory_deformation(
         weight = _ramp(times, contact, contact_s)
         strain = (1 - weight) * strain - weight * squash * contact.strength
         side = np.where(axes @ contact.normal < 0, -1.0, 1.0)[:, None]
-        turned = (1 - weight)[:, None] * side * axes + weight[:, None] * contact.normal
+        # While it is flat, it is flat on what it touches: the axis has turned before the strain changes its sign.
+        touching = np.clip(weight / 0.25, 0.0, 1.0)
+        touching = (touching * touching * (3 - 2 * touching))[:, None]
+        turned = (1 - touching) * side * axes + touching * contact.normal
         length = np.linalg.norm(turned, axis=-1, keepdims=True)
         axes = np.where(length > 1e-9, turned / np.where(length > 1e-9, length, 1.0), axes)
     return Deformation(times, strain, axes, np.array([0.5 * (c.start_s + c.end_s) for c in contacts]))

@@ -2,7 +2,7 @@
 
 >>> from keypose import samples
 >>> samples.names()
-['human', 'walk', 'idle', 'run', 'jump', 'wave', 'talk']
+['human', 'walk', 'idle', 'run', 'jump', 'wave', 'talk', 'ball', 'bounce']
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from keypose.model import Scene
 __all__ = ["load", "names", "open_scene"]
 
 PREFIX = "sample:"
+_BALLS = ("ball", "bounce")
 
 
 def names() -> list[str]:
-    """The samples there are: the human (with all performances), and each performance of it alone."""
+    """The samples there are: the human (with all performances), each performance of it alone, the ball still and bouncing."""
     from keypose.samples import performances
 
-    return ["human", *performances.names()]
+    return ["human", *performances.names(), *_BALLS]
 
 
 @cache
 def load(name: str) -> Scene:
-    """The built-in human with one performance; with all of them, the walk first, for ``human``.
+    """The built-in human with one performance; with all of them, the walk first, for ``human``; the ball, or it and its bounce.
 
     Raises:
         UnknownName: for a sample that does not exist, naming the nearest.
@@ -37,6 +38,10 @@ def load(name: str) -> Scene:
 
     if name not in names():
         raise UnknownName("sample", name, names())
+    if name in _BALLS:
+        from keypose.samples import ball
+
+        return Scene((ball.ball(),), (ball.bounce(),) if name == "bounce" else (), format="sample")
     from keypose.samples.human import human
 
     wanted = performances.names() if name == "human" else [name]
