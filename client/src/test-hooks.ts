@@ -4,6 +4,9 @@ import { Vector3 } from "three";
 import { crowd } from "./crowd/crowd.svelte";
 import { crowdHooks } from "./crowd/test-hooks";
 import { deformedVertices } from "./view/parts";
+import { editor } from "./edit/editor.svelte";
+import { project } from "./edit/project.svelte";
+import { editHooks } from "./edit/test-hooks";
 import { play } from "./play/play.svelte";
 import { playHooks } from "./play/test-hooks";
 import type { Studio } from "./studio.svelte";
@@ -86,9 +89,10 @@ export function installHooks(studio: Studio): void {
     camera: () => ({ position: studio.view.orbit.camera.position.toArray(), target: studio.view.orbit.target.toArray() }),
     ...playHooks,
     ...crowdHooks,
+    ...editHooks,
     stats: () => studio.view.stats(),
     resetStats: () => studio.view.resetStats(),
   };
-  Object.assign(window, { keypose: { test, studio, play, crowd } });
+  Object.assign(window, { keypose: { test, studio, play, crowd, editor, project } });
 }
 

@@ -51,7 +51,9 @@ export function keysOf(command: Command, map: KeyMap): string[] {
 export function spellings(event: KeyboardEvent): string[] {
   const letter = /^Key[A-Z]$/.test(event.code) && (event.altKey || event.ctrlKey) ? event.code.slice(3) : null;
   const key = letter ?? (event.key === " " ? "Space" : event.key.length === 1 ? event.key.toUpperCase() : event.key);
+  const pad = /^Numpad/.test(event.code) ? event.code : null;
   const head = `${event.ctrlKey || event.metaKey ? "Ctrl+" : ""}${event.altKey ? "Alt+" : ""}`;
+  if (pad) return [`${head}${event.shiftKey ? "Shift+" : ""}${pad}`, `${head}${key}`];
   if (!event.shiftKey) return [`${head}${key}`];
   // what Shift makes of , and . on many keyboards
   const bare = { "<": ",", ">": "." }[key] ?? key;

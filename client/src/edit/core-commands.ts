@@ -13,20 +13,6 @@ import { project } from "./project.svelte";
 const some = () => editor.timeline !== null;
 const joints = () => editor.selectedJoints.length > 0;
 
-function selectAll(): void {
-  const count = editor.actor?.rig.count ?? 0;
-  editor.selectedJoints = Array.from({ length: count }, (_, j) => j);
-}
-
-/** The joint's parent, or its first child. */
-function walk(up: boolean): void {
-  const { actor, selectedJoints } = editor;
-  const joint = selectedJoints.at(-1) ?? -1;
-  if (!actor || joint < 0) return;
-  const next = up ? actor.rig.parents[joint] : actor.rig.children[joint][0];
-  if (next !== undefined && next >= 0) editor.selectedJoints = [next];
-}
-
 function seekMarker(direction: number): void {
   const times = editor.timeline?.markers.map((m) => m.time) ?? [];
   const next = direction > 0 ? times.find((t) => t > editor.time + 1e-6) : times.findLast((t) => t < editor.time - 1e-6);
@@ -82,10 +68,6 @@ export function coreCommands(): Command[] {
     time("time.marker-back", "Previous marker", "", () => seekMarker(-1), { when: some }),
     time("time.marker-forward", "Next marker", "", () => seekMarker(1), { when: some }),
 
-    select("select.all", "Select all joints", ["A", "Ctrl+Shift+A"], selectAll, { area: "viewport" }),
-    select("select.none", "Select no joint", ["Alt+A", ""], () => (editor.selectedJoints = []), { area: "viewport" }),
-    select("select.parent", "To the parent joint", ["[", "PageUp"], () => walk(true), { when: joints }),
-    select("select.child", "To the child joint", ["]", "PageDown"], () => walk(false), { when: joints }),
     select("select.find", "Find a joint", "/", () => {
       layout.leftOpen = true;
       setTimeout(() => document.querySelector<HTMLInputElement>("[data-testid=edit-find]")?.focus());

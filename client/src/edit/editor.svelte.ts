@@ -119,12 +119,13 @@ export class Editor implements EditorContract {
   }
 
   private show(): void {
-    const before = this.document;
+    const before = this.document, scene = this.character?.scene;
     let document = this.confirmed;
     for (const { changes } of this.pending) document = apply(document, changes);
     document = reuse(before, document);
     this.document = document;
     this.shown = this.previewed ? apply(document, this.previewed) : document;
+    if (this.character?.scene !== scene) this.selectedJoints = [];
     if (document !== before) this.prune();
     this.perform();
     const [old, now] = [before.timelines.get(this.character?.timeline ?? ""), this.timeline];

@@ -13,7 +13,7 @@ export class Layout {
   left = $state(228);
   right = $state(284);
   bottom = $state(innerHeight < 800 ? 252 : 340);
-  layers = $state(innerHeight < 800 ? 176 : 280);
+  layers = $state(innerHeight < 800 ? 138 : 240);
   leftOpen = $state(true);
   rightOpen = $state(true);
   tab = $state<RightTab>("joint");

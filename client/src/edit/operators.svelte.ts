@@ -1,27 +1,7 @@
 // Operators of the server: what they ask for, and what was typed into their forms.
 
+import type { OperatorParameter, OperatorSpec } from "../generated/messages";
 import { studio } from "../studio.svelte";
-
-/** What an operator asks for; `unit` as "frames", "m", "deg" or empty. */
-export interface OperatorParameter {
-  readonly name: string;
-  readonly label: string;
-  readonly kind: "number" | "integer" | "boolean" | "choice";
-  readonly default: number | boolean | string;
-  readonly low: number | null;
-  readonly high: number | null;
-  readonly unit: string;
-  readonly choices: readonly string[];
-  readonly help: string;
-}
-
-export interface OperatorSpec {
-  readonly name: string;
-  readonly label: string;
-  readonly group: string;
-  readonly help: string;
-  readonly parameters: readonly OperatorParameter[];
-}
 
 export type Value = number | boolean | string;
 
