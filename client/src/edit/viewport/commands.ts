@@ -51,7 +51,7 @@ export function viewCommands(editor: Editor, stage: StageEditor): Command[] {
     command("clear.rotation", "Clear rotation", "Pose", "Alt+R", "", () => toRest(editor, stage, ["rotation"]), some),
     command("clear.translation", "Clear location", "Pose", "Alt+G", "", () => toRest(editor, stage, ["translation"]), some),
     command("clear.scale", "Clear scale", "Pose", "Alt+S", "", () => toRest(editor, stage, ["scale"]), some),
-    command("key", "Key the selected joints", "Pose", "I", "S", () => keyShown(editor, stage), () => some() || editor.posed.size > 0),
+    command("key", "Key what was changed by hand", "Pose", "K", "S", () => keyShown(editor, stage), () => some() || editor.posed.size > 0),
     command("drop", "Forget what is posed and not keyed", "Pose", "", "", () => dropPosed(editor, stage), () => editor.posed.size > 0),
     command("copy", "Copy pose", "Pose", "Ctrl+C", "Ctrl+C", () => copyPose(editor)),
     command("paste", "Paste pose", "Pose", "Ctrl+V", "Ctrl+V", () => pastePose(editor, false), () => present() && clipboard.pose !== null),
@@ -64,7 +64,7 @@ export function viewCommands(editor: Editor, stage: StageEditor): Command[] {
     command("select.parent", "Select the parent", "Select", "[", "ArrowUp", () => selectAll([...new Set(stage.joints.map((j) => (rig().parents[j] >= 0 ? rig().parents[j] : j)))]), some),
     command("select.child", "Select the child", "Select", "]", "ArrowDown", () => selectAll([...new Set(stage.joints.map((j) => rig().children[j][0] ?? j))]), some),
     command("select.below", "Select all below", "Select", "Shift+G", "", () => selectAll(below(rig().children, stage.joints)), some),
-    command("select.mirror", "Select the other side", "Select", "Shift+Ctrl+M", "", () => selectAll(otherSide(editor, stage)), some),
+    command("select.mirror", "Select the other side", "Select", "Ctrl+Shift+M", "", () => selectAll(otherSide(editor, stage)), some),
     command("select.box", "Select by a rectangle", "Select", "B", "", () => (tools.boxArmed = true)),
 
     command("frame", "Frame the selected joints", "View", "NumpadDecimal F", "F", () => frameSelected(editor, stage)),
