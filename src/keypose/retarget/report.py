@@ -1,0 +1,109 @@
+"""How well a motion on one body repeats that of another: directions of bones, sliding and sinking feet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from keypose.analysis.roles import SIDES
+from keypose.arrays import Floats
+from keypose.evaluate import world_rotations_positions
+from keypose.model import Motion
+from keypose.retarget.body import BodyFrames
+from keypose.retarget.planting import PlantOptions, foot_contacts
+
+_LIMBS = (
+    ("upper_arm", "lower_arm"), ("lower_arm", "hand"), ("upper_leg", "lower_leg"), ("lower_leg", "foot"), ("foot", "toes"),
+)  # fmt: skip
+_BONES = (
+    *((f"{side}_{a}", f"{side}_{b}") for side in SIDES for a, b in _LIMBS),
+    ("hips", "neck"),
+    ("neck", "head"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RetargetReport:
+    """Figures of one body's motion on another.
+
+    Units: ``direction_deg`` bone -> mean angle between the two bones' directions in the model's space; ``mean_direction_deg`` over
+    all bones; ``slide_cm_s`` mean and ``worst_slide_cm_s`` largest level speed of a foot's carrying point while it touches the
+    ground; ``sink_cm`` deepest place of a foot under the ground; ``source_slide_cm_s`` the same mean of the source.
+    """
+
+    direction_deg: dict[str, float]
+    mean_direction_deg: float
+    slide_cm_s: float
+    worst_slide_cm_s: float
+    source_slide_cm_s: float
+    sink_cm: float
+    contact_frames: int
+
+    def lines(self) -> list[str]:
+        """The figures as short lines for people."""
+        worst = max(self.direction_deg, key=lambda bone: self.direction_deg[bone], default="")
+        return [
+            f"bone directions: {self.mean_direction_deg:.2f} degrees on average"
+            + (f", most at {worst} ({self.direction_deg[worst]:.2f})" if worst else ""),
+            f"feet in contact slide {self.slide_cm_s:.2f} cm/s on average, {self.worst_slide_cm_s:.2f} at most "
+            f"(source {self.source_slide_cm_s:.2f}), {self.contact_frames} frames",
+            f"feet sink {self.sink_cm:.2f} cm at most",
+        ]
+
+
+def compare_motions(
+    source: Motion, own: BodyFrames, target: Motion, other: BodyFrames, options: PlantOptions
+) -> RetargetReport:
+    """The figures of two motions with the same frames."""
+    a = np.asarray(world_rotations_positions(own.skeleton, source.pose.broadcast())[1], np.float64)
+    b = np.asarray(world_rotations_positions(other.skeleton, target.pose.broadcast())[1], np.float64)
+    directions: dict[str, float] = {}
+    for low, high in _BONES:
+        if all(role in body.roles for role in (low, high) for body in (own, other)):
+            directions[low] = float(np.mean(_angles(_way(own, a, low, high), _way(other, b, low, high))))
+    touching = foot_contacts(own.roles, a, source.rate_hz, own.leg_m, options)
+    slide, worst, frames = _slide(other, b, touching, target.rate_hz)
+    mine, _, _ = _slide(own, a, touching, source.rate_hz)
+    feet = [
+        (other.roles[r], other.places[other.roles[r], 1])
+        for s in SIDES
+        for r in (f"{s}_foot", f"{s}_toes")
+        if r in other.roles
+    ]
+    sink = max((float((rest - b[:, joint, 1]).max()) for joint, rest in feet), default=0.0)
+    mean = float(np.mean(list(directions.values()))) if directions else 0.0
+    return RetargetReport(directions, mean, slide, worst, mine, max(0.0, 100.0 * sink), frames)
+
+
+def _way(body: BodyFrames, places: Floats, low: str, high: str) -> Floats:
+    return places[:, body.roles[high]] - places[:, body.roles[low]]
+
+
+def _angles(a: Floats, b: Floats) -> Floats:
+    """Degrees between vectors (T, 3), accurate for small angles."""
+    a = a / np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-12)
+    b = b / np.maximum(np.linalg.norm(b, axis=-1, keepdims=True), 1e-12)
+    return np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
+
+
+def _slide(
+    body: BodyFrames, places: Floats, touching: dict[str, np.ndarray], rate_hz: float
+) -> tuple[float, float, int]:
+    """Mean and largest level speed (cm/s) of the carrying points over steps that begin and end in contact, and frames."""
+    speeds: list[Floats] = []
+    frames = 0
+    for side in SIDES:
+        ball = touching.get(f"{side}_ball", np.zeros(len(places), bool))
+        for point, role, flag in (
+            ("ball", "toes", ball),
+            ("heel", "foot", touching.get(f"{side}_heel", np.zeros(len(places), bool)) & ~ball),
+        ):
+            if f"{side}_{role}" not in body.roles or f"{side}_{point}" not in touching:
+                continue
+            frames += int(flag.sum())
+            both = flag[1:] & flag[:-1]
+            step = np.diff(places[:, body.roles[f"{side}_{role}"]], axis=0)[both]
+            speeds.append(100.0 * rate_hz * np.hypot(step[:, 0], step[:, 2]))
+    every = np.concatenate(speeds) if speeds else np.zeros(0)
+    return (float(every.mean()), float(every.max()), frames) if len(every) else (0.0, 0.0, frames)
