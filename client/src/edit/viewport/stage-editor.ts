@@ -60,7 +60,8 @@ export class StageEditor {
       this.swallowMenu = false;
     });
     on(window, "keydown", this.key);
-    on(window, "blur", () => this.cancel());
+    // in the capture phase, what a field loses passes here too
+    on(window, "blur", (event) => event.target === window && this.cancel());
     const { controls } = view.orbit;
     this.kept = { buttons: controls.mouseButtons.MIDDLE };
     // as in other animation programs; left drags turn the view too
@@ -109,7 +110,7 @@ export class StageEditor {
     const { actor } = editor, joints = this.joints;
     const shown = studio.page === "edit" || this.always;
     view.tools.visible = shown;
-    gizmo.present = shown && actor !== null && joints.length > 0 && !studio.playing;
+    gizmo.present = shown && actor !== null && joints.length > 0 && !studio.playing && !view.filming;
     if (gizmo.present && actor) {
       const now = { rig: actor.rig, pose: actor.rig.pose, world: actor.rig.world };
       const pivot = pivotOf(now, joints, tools.turns);
@@ -120,7 +121,7 @@ export class StageEditor {
     }
     view.orbit.camera.updateMatrixWorld();
     gizmo.update(view.orbit.camera, view.canvas.clientWidth, view.canvas.clientHeight);
-    this.paths.prepare(studio.time);
+    this.paths.prepare(studio.time, view.filming ? Infinity : undefined);
   };
   /** Show tools though this is not the edit page: for a stage that is nothing else. */
   always = false;
