@@ -1,0 +1,51 @@
+"""`keypose retarget` and `keypose roles` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from keypose import io
+from keypose.model import Motion
+from tests.cli.test_cli import keypose, refused
+
+
+def test_a_performance_goes_on_the_human(tmp_path: Path) -> None:
+    done = keypose("retarget", "sample:walk", "--to", "sample:human", tmp_path / "out.glb")
+    assert done.returncode == 0, done.stderr
+    assert "bone directions" in done.stdout and "feet in contact slide" in done.stdout
+    assert len(io.load(tmp_path / "out.glb").animations) == 1
+
+
+@pytest.mark.data
+def test_a_capture_goes_on_a_character(data_dir: Path, tmp_path: Path) -> None:
+    motion, hero = data_dir / "asf_amc/cmu_02/02_01.amc", data_dir / "fbx/geno/Geno.fbx"
+    done = keypose("retarget", motion, "--to", hero, tmp_path / "out.bvh", "--rate", 60, "--no-plant")
+    assert done.returncode == 0, done.stderr
+    animation = io.load(tmp_path / "out.bvh").animations[0]
+    assert isinstance(animation, Motion) and animation.rate_hz == pytest.approx(60)
+
+
+def test_roles_are_printed_saved_and_used(tmp_path: Path) -> None:
+    shown = keypose("roles", "sample:human", tmp_path / "map.json")
+    assert shown.returncode == 0 and "left_upper_arm" in shown.stdout and "LeftArm" in shown.stdout
+    assert json.loads((tmp_path / "map.json").read_text())["hips"] == "Hips"
+    listed = keypose("roles", "sample:human", "--json")
+    assert json.loads(listed.stdout)["roles"]["hips"] == {"joint": "Hips", "confidence": 1.0}
+    out = tmp_path / "out.glb"
+    done = keypose("retarget", "sample:walk", "--to", "sample:human", out, "--to-roles", tmp_path / "map.json", "-q")
+    assert done.returncode == 0 and done.stdout == "" and out.exists()
+
+
+def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
+    out = tmp_path / "out.glb"
+    (tmp_path / "map.json").write_text('{"hips": "Hisp"}')
+    asked = ("retarget", "sample:walk", "--to", "sample:human")
+    assert "nearest: 'Hips'" in refused(keypose(*asked, out, "--to-roles", tmp_path / "map.json"))
+    assert "no such file" in refused(keypose(*asked, out, "--to-roles", tmp_path / "none.json")).lower()
+    assert ".xyz" in refused(keypose(*asked, tmp_path / "out.xyz"))
+    assert "sample" in refused(keypose("retarget", "sample:nobody", "--to", "sample:human", out))
+    assert not out.exists()
+    assert keypose("retarget", "sample:walk", out).returncode == 2
