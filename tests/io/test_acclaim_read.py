@@ -292,7 +292,7 @@ def test_a_skeleton_beside_it_in_a_command(take: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     skeleton = str((tmp_path / "small.asf").rename(elsewhere / "body.asf"))
-    with pytest.raises(FormatError, match="give both to keypose convert"):
+    with pytest.raises(FormatError, match="--skeleton"):
         open_inputs([str(take)])
     for order in ([str(take), skeleton], [skeleton, str(take)]):
         scenes = open_inputs(order, unit="cm")

@@ -276,7 +276,8 @@ def test_every_file_comes_back_the_same(scenes: dict[str, Scene], tmp_path: Path
         header, other = scene.extras["c3d"].header, again.extras["c3d"].header
         assert (header.gap, header.events, header.rate_hz) == (other.gap, other.events, other.rate_hz), name
         lost = parameters_lost(scene, again)
-        assert lost <= {
+        cut = any("POINT:UNITS is" in note for note in scene.notes)  # a word cut short is written whole
+        assert lost <= ({"POINT:UNITS"} if cut else set()) | {
             "POINT:SCALE",
             "POINT:DATA_START",
             "POINT:FRAMES",

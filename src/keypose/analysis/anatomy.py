@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from keypose.arrays import Floats
+from keypose.arrays import Floats, Ints
+from keypose.model import Character, Skin
 
 Side = Literal["left", "right", ""]
 
@@ -19,6 +20,8 @@ _PARTS = (
     "radius|forearm|wrist|hand|fingers?|thumb|index|eye|heel|buttock"
 )
 _PREFIXED = re.compile(rf"^(l|r)(?:{_PARTS})\d*$")
+_TRUNK = re.compile("hip|femur|thigh|upleg|upperleg|clavicle|collar|shoulder|shldr|humerus|upperarm")
+_FEWEST = 4  # joints that a skinned body has
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]+|[a-z]+|\d+")
 _ENDS = {
     "head": ("head",),
@@ -70,17 +73,57 @@ class Body:
     parts: dict[tuple[str, Side], int]
     pairs: tuple[tuple[int, int], ...]  # left, right
 
+    trunk: tuple[tuple[int, int], ...] = ()  # those of hips and shoulders
+
     def __bool__(self) -> bool:
         return len(self.pairs) > 0
 
+    @property
+    def head(self) -> int | None:
+        """The joint of the head."""
+        return self.parts.get(("head", ""))
 
-def find_body(names: Sequence[str]) -> Body:
-    """The parts that joint names tell of; the first joint in the hierarchy wins."""
+    @property
+    def feet(self) -> list[int]:
+        """Ankles and toes."""
+        return [joint for (part, side), joint in self.parts.items() if part in ("foot", "toe") and side]
+
+
+def figure_joints(character: Character) -> Ints:
+    """The joints that make the body: those that skins hold, else the tree with the most joints.
+
+    Files hold more than a body: meshes, cameras, handles of a rig, what a character looks at.
+    """
+    skeleton = character.skeleton
+    parents = np.asarray(skeleton.parents)
+    held = [np.asarray(part.skin.palette)[_used(part.skin)] for part in character.parts if part.skin is not None]
+    if held:
+        found = np.unique(np.concatenate(held))
+        if len(found) >= _FEWEST:
+            return found
+    tops = np.arange(len(parents))
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            tops[joint] = tops[parent]
+    if not len(tops):
+        return tops
+    return np.flatnonzero(tops == np.bincount(tops).argmax())
+
+
+def _used(skin: Skin) -> Ints:
+    """The places of a palette that any vertex hangs on."""
+    weights, joints = np.asarray(skin.weights), np.asarray(skin.joints)
+    return np.unique(joints[weights > 0])
+
+
+def find_body(names: Sequence[str], joints: Iterable[int] | None = None) -> Body:
+    """The parts that joint names tell of, among ``joints`` (all if not given); the first joint in the hierarchy wins."""
     parts: dict[tuple[str, Side], int] = {}
     mirrored: dict[str, int] = {}
     pairs: list[tuple[int, int]] = []
-    for joint, name in enumerate(names):
-        side = side_of(name)
+    for joint in range(len(names)) if joints is None else map(int, joints):
+        name = names[joint]
+        side: Side = side_of(name)
         for end in _ENDS:
             if is_end(name, end):
                 parts.setdefault((end, side), joint)
@@ -91,7 +134,8 @@ def find_body(names: Sequence[str]) -> Body:
             other = next((mirrored[m] for m in _mirrored(name) if m in mirrored), None)
             if other is not None:
                 pairs.append((joint, other))
-    return Body(parts, tuple(pairs))
+    trunk = tuple(pair for pair in pairs if _TRUNK.search("".join(words_of(names[pair[0]]))))
+    return Body(parts, tuple(pairs), trunk)
 
 
 def _mirrored(name: str) -> list[str]:
@@ -113,18 +157,45 @@ def facing(body: Body, places: Floats) -> tuple[Floats | None, Floats | None]:
     """
     up = np.array([0.0, 1.0, 0.0])
     by_sides = by_feet = None
-    if body.pairs:
-        left = np.mean([places[a] - places[b] for a, b in body.pairs], axis=0)
+    # Arms may be crossed; hips and shoulders tell the sides.
+    pairs = body.trunk or body.pairs
+    if pairs:
+        left = np.mean([places[a] - places[b] for a, b in pairs], axis=0)
         by_sides = _unit(np.cross(left, up))
     steps: list[Floats] = []
     for side in ("left", "right"):
         toe, foot = body.parts.get(("toe", side)), body.parts.get(("foot", side))
         if toe is not None and foot is not None and toe != foot:
-            steps.append(places[toe] - places[foot])
+            step = places[toe] - places[foot]
+            if abs(step[1]) < np.hypot(step[0], step[2]):  # one that hangs down says nothing
+                steps.append(step)
     if steps:
         forward = np.sum(steps, axis=0)
         by_feet = _unit(np.array([forward[0], 0.0, forward[2]]))
     return by_sides, by_feet
+
+
+def upright(body: Body, places: Floats) -> float | None:
+    """How upright a body is: the cosine between feet-to-head and up, None where it has no head or feet.
+
+    Shapes and units: ``places`` (J, 3) metres, Y up.
+    """
+    head, feet = body.head, body.feet
+    if head is None or not feet:
+        return None
+    way = places[head] - places[feet].mean(axis=0)
+    length = float(np.linalg.norm(way))
+    return float(way[1]) / length if length > 0 else 0.0
+
+
+def on_all_fours(body: Body, places: Floats) -> bool:
+    """Whether the hands are as near the ground as the feet, and the head is above both."""
+    hands = [joint for (part, side), joint in body.parts.items() if part == "hand" and side]
+    if body.head is None or not body.feet or len(hands) < 2:
+        return False
+    low = min(float(places[hands, 1].min()), float(places[body.feet, 1].min()))
+    top = float(places[body.head, 1]) - low
+    return top > 0 and bool(max(float(places[hands, 1].max()), float(places[body.feet, 1].max())) - low < 0.3 * top)
 
 
 def rest_kind(body: Body, places: Floats) -> str:

@@ -34,9 +34,15 @@ class SceneError:
     marker_mm: float | None = None
     time_s: float = 0.0
     missing: tuple[str, ...] = ()
+    size_mm: float = 0.0  # the longest side of everything in the original
 
-    def within(self, position_mm: float, rotation_deg: float) -> bool:
-        """Whether nothing is missing, no place is off by more, no angle, no morph weight by 1e-4, no length by 1e-4 s."""
+    def within(self, position_mm: float, rotation_deg: float, share_of_size: float = 0.0) -> bool:
+        """Whether nothing is missing, no place is off by more, no angle, no morph weight by 1e-4, no length by 1e-4 s.
+
+        Places may be off by ``share_of_size`` of the scene's size where that is more than ``position_mm``: single
+        precision has seven digits, which in a scene of 100 m are hundredths of a millimetre.
+        """
+        position_mm = max(position_mm, share_of_size * self.size_mm)
         if self.missing or self.time_s > 1e-4 or (self.morph or 0.0) > 1e-4:
             return False
         if any((d or 0.0) > position_mm for d in (self.vertex_mm, self.marker_mm)):
@@ -83,8 +89,30 @@ def scene_error(original: Scene, copy: Scene) -> SceneError:
             missing.append(f"{lost} of {len(getattr(original, kind))} {kind}")
     times = [abs(a.duration_s - b.duration_s) for a, b in pairs]
     return SceneError(
-        motion, len(pairs), vertex, part, morph, morph_name, marker_mm, max(times, default=0.0), tuple(missing)
+        motion,
+        len(pairs),
+        vertex,
+        part,
+        morph,
+        morph_name,
+        marker_mm,
+        max(times, default=0.0),
+        tuple(missing),
+        1000 * _size(original),
     )
+
+
+def _size(scene: Scene) -> float:
+    """The longest side in metres of a box round joints at rest, meshes and markers, each in its own space."""
+    longest = 0.0
+    clouds = [world(c.skeleton, _double(c.skeleton.rest))[:, :3, 3] for c in scene.characters]
+    clouds += [np.asarray(p.mesh.positions, np.float64) for c in scene.characters for p in c.parts]
+    clouds += [np.asarray(m.positions, np.float64)[np.asarray(m.visible)] for m in scene.markers]
+    for cloud in clouds:
+        points = cloud[np.isfinite(cloud).all(axis=-1)]
+        if len(points):
+            longest = max(longest, float(np.ptp(points, axis=0).max()))
+    return longest
 
 
 def _missing(missing: list[str], what: str, had: Sequence[str], has: Sequence[str]) -> None:

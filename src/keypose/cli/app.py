@@ -26,6 +26,15 @@ UnitOption = Annotated[
     typer.Option("--unit", help="Unit of a file that does not say: m, cm, mm, inch, foot, or metres as a number."),
 ]
 UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of a file that does not say: X, Y or Z.")]
+SkeletonFile = Annotated[
+    str | None, typer.Option("--skeleton", metavar="FILE", help="The ASF skeleton of an AMC motion.")
+]
+FormatOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", "-o", metavar="NAME=VALUE", help="An option of the format; keypose convert --formats lists them."
+    ),
+]
 Host = Annotated[str, typer.Option(help="Address to listen on; only this machine can reach the default.")]
 Port = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
 Remote = Annotated[
@@ -46,6 +55,14 @@ def _version(asked: bool) -> None:
         import keypose
 
         typer.echo(f"keypose {keypose.__version__}")
+        raise typer.Exit
+
+
+def _formats(asked: bool) -> None:
+    if asked:
+        from keypose.cli.options import print_formats
+
+        print_formats()
         raise typer.Exit
 
 
@@ -123,11 +140,13 @@ def info(
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     unit: UnitOption = None,
     up: UpOption = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
 ) -> None:
     """Say what a file holds, and everything that was guessed, repaired or dropped on reading it."""
     from keypose.cli.info import print_info
 
-    print_info(file, as_json=json, unit=unit, up=up)
+    print_info(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ())
 
 
 @app.command(
@@ -143,11 +162,13 @@ def check(
     strict: Annotated[bool, typer.Option("--strict", help="Fail where there is a warning.")] = False,
     unit: UnitOption = None,
     up: UpOption = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
 ) -> None:
     """Say how a file was understood (unit, axes, facing, rest pose, size, rates), and what is wrong with it."""
     from keypose.cli.check import print_check
 
-    if not print_check(file, as_json=json, unit=unit, up=up) and strict:
+    if not print_check(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ()) and strict:
         raise typer.Exit(1)
 
 
@@ -157,6 +178,9 @@ def check(
         "keypose convert walk.bvh character.glb walking.glb",
         "keypose convert character.glb run.bvh --clip Run --rate 60",
         "keypose convert take.fbx take.glb --strict [dim]# exit code 1 where anything was lost[/dim]",
+        "keypose convert 01_01.amc take.bvh --skeleton 01.asf",
+        "keypose convert take.bvh take.npz --option layout=amass",
+        "keypose convert --formats [dim]# all formats with their options[/dim]",
     )
 )
 def convert(
@@ -179,9 +203,27 @@ def convert(
         float, typer.Option("--limit-mm", help="For --strict: joints, vertices, markers.", min=0)
     ] = 1e-3,
     limit_deg: Annotated[float, typer.Option("--limit-deg", help="For --strict: rotations.", min=0)] = 1e-4,
+    limit_relative: Annotated[
+        float,
+        typer.Option("--limit-relative", help="For --strict: places, as a share of the size; for large ones.", min=0),
+    ] = 0.0,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    skip: Annotated[int, typer.Option("--skip", help="Leave out so many frames at the start.", min=0)] = 0,
+    scale: Annotated[float, typer.Option("--scale", help="Multiply all lengths.", min=1e-9)] = 1.0,
+    turn: Annotated[
+        float, typer.Option("--turn", help="Turn about the vertical, in degrees; 90 brings +Z to +X.")
+    ] = 0.0,
+    lift: Annotated[float, typer.Option("--raise", help="Lift everything by so many metres.")] = 0.0,
+    influences: Annotated[
+        int | None, typer.Option("--influences", help="Joints that may move a vertex, at most.", min=1, max=64)
+    ] = None,
+    formats: Annotated[
+        bool, typer.Option("--formats", callback=_formats, is_eager=True, help="List all formats and their options.")
+    ] = False,
 ) -> None:
     """Convert between formats, read the result back and print how exact it is."""
-    from keypose.cli.convert import convert_files
+    from keypose.cli.convert import Changes, Strictness, convert_files
 
     if len(files) < 2:
         raise typer.BadParameter("expected at least one input and the output", param_hint="IN... OUT")
@@ -189,15 +231,15 @@ def convert(
         files[:-1],
         Path(files[-1]),
         clip=clip,
-        rate_hz=rate,
+        changes=Changes(skip, scale, turn, lift, rate, influences),
         unit=unit,
         up=up,
         out_unit=out_unit,
         order=order,
+        skeleton=skeleton,
+        options=option or (),
         quiet=quiet,
-        strict=strict,
-        limit_mm=limit_mm,
-        limit_deg=limit_deg,
+        strictness=Strictness(strict, limit_mm, limit_deg, limit_relative),
     )
 
 

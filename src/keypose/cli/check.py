@@ -4,21 +4,40 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from keypose.cli.console import console
 from keypose.cli.inputs import open_input
 
-_SIGNS = {"fact": "[blue]fact[/blue]   ", "guess": "[yellow]guess[/yellow]  ", "warning": "[red]warning[/red]"}
+_SIGNS = {
+    "warning": "[red]warning[/red]",
+    "guess": "[yellow]guess[/yellow]  ",
+    "loss": "[yellow]loss[/yellow]   ",
+    "repair": "[yellow]repair[/yellow] ",
+    "fact": "[blue]fact[/blue]   ",
+}
 
 
-def print_check(reference: str, *, as_json: bool, unit: str | None, up: str | None) -> bool:
+_TIMES = ("textgrid", "hts", "livelink")  # have no space
+
+
+def print_check(
+    reference: str,
+    *,
+    as_json: bool,
+    unit: str | None,
+    up: str | None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+) -> bool:
     """Print how a file was understood and what is wrong with it; whether nothing is."""
     from keypose.analysis import examine
     from keypose.io.axes import unit_name
 
-    found = examine(open_input(reference, unit=unit, up=up))
+    found = examine(open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options))
     facts = {"file": reference, "unit": unit_name(found.facts["unit_m"]), **found.facts}
     if as_json:
         rows = [{**asdict(f), "fix": _command(f.fix, reference)} for f in found.findings]
@@ -33,7 +52,7 @@ def print_check(reference: str, *, as_json: bool, unit: str | None, up: str | No
     for name, text in _lines(facts):
         table.add_row(f"  [dim]{name}[/dim]", escape(text))
     out.print(table)
-    for f in sorted(found.findings, key=lambda f: ("warning", "guess", "fact").index(f.level)):
+    for f in sorted(found.findings, key=lambda f: [*_SIGNS].index(f.level)):
         out.print(f"  {_SIGNS[f.level]} {escape(f.topic)}: {escape(f.text)}")
         if f.fix:
             out.print(f"          [dim]{escape(_command(f.fix, reference))}[/dim]")
@@ -43,33 +62,65 @@ def print_check(reference: str, *, as_json: bool, unit: str | None, up: str | No
 
 
 def _command(fix: str, reference: str) -> str:
-    return fix.replace("FILE", shlex.quote(reference)) if fix.startswith("keypose") else fix
+    """A command with FILE and OUT made into names; a sample is written in a format that holds all of it."""
+    if not fix:
+        return ""
+    source = Path(reference.removeprefix("sample:"))
+    words = [source.name if word == "FILE" else word for word in fix.split()]
+    for place, word in enumerate(words):
+        if word.startswith("OUT"):
+            words[place] = f"{source.stem}-fixed{word.removeprefix('OUT') or _suffix(reference)}"
+    if "FILE" in fix:
+        words[words.index(source.name)] = reference
+    return shlex.join(words)
+
+
+def _suffix(reference: str) -> str:
+    """Of the file itself where its format is written, else of one that holds as much."""
+    from keypose.io.registry import format_of_suffix
+
+    path = Path(reference)
+    chosen = None if reference.startswith("sample:") else format_of_suffix(path)
+    return path.suffix if chosen is not None and chosen.write else ".glb"
 
 
 def _lines(facts: dict[str, Any]) -> list[tuple[str, str]]:
-    lines = [("unit, up", f"{facts['unit']}, {facts['up']} up")]
-    if facts.get("forward"):
-        sides = "" if facts["handedness"] == "right" else f", {facts['handedness']}"
-        lines.append(("faces", facts["forward"] + sides))
-    if facts.get("rest_pose"):
-        pairs = facts["sides"]["pairs"]
-        text = f"{facts['rest_pose']} pose" if facts["rest_pose"] in ("T", "A") else facts["rest_pose"]
-        lines.append(("rest", f"{text}; {pairs} joint pair{'s' * (pairs != 1)} left and right" if pairs else text))
-    if facts.get("stature_m"):
-        lines.append(("stature", f"{facts['stature_m']:.2f} m, lowest point {facts['ground_m']:+.3f} m"))
-    if facts.get("euler_orders"):
+    lines: list[tuple[str, str]] = []
+    if facts["format"] not in _TIMES:
+        lines.append(("unit, up", f"{facts['unit']}, {facts['up']} up"))
+    if facts["forward"] or facts.get("forward_moving"):
+        way = facts["forward"] or f"{facts['forward_moving']} where it stands in the motion"
+        hand = "left and right as named" if facts["handedness"] == "right" else "left and right swapped"
+        lines.append(("faces", f"{way}, {hand}" if facts["handedness"] else way))
+    if facts["euler_orders"]:
         orders = ", ".join(f"{order} x{count}" for order, count in facts["euler_orders"].items())
         odd = facts["euler_exceptions"]
         few = ", ".join(f"{name} {order}" for name, order in list(odd.items())[:4])
-        lines.append(("Euler orders", orders + (f" ({few})" if odd else "")))
-    if facts.get("rate_hz"):
+        lines.append(("Euler orders", orders + (f" ({few}{', …' if len(odd) > 4 else ''})" if odd else "")))
+    if facts["rest_pose"]:
+        pairs = facts["sides"]["pairs"]
+        text = f"{facts['rest_pose']} pose" if facts["rest_pose"] in ("T", "A") else facts["rest_pose"]
+        lines.append(("rest", f"{text}; {pairs} joint pair{'s' * (pairs != 1)} left and right" if pairs else text))
+    if facts["stature_m"]:
+        lines.append(("stature", f"{facts['stature_m']:.2f} m, lowest joint {facts['ground_m']:+.3f} m"))
+    if facts.get("meshes"):
+        m = facts["meshes"]
+        size = " x ".join(f"{v:.3g}" for v in m["size_m"])
+        lines.append(("meshes", f"{m['parts']} part{'s' * (m['parts'] != 1)}, {m['vertices']:,} vertices, {size} m"))
+    if facts["rate_hz"]:
         lines.append(("rate", f"{facts['rate_hz']:.6g} Hz"))
-    if facts.get("clips"):
+    if facts["clips"]:
         lines.append(("clips", str(facts["clips"])))
-    if facts.get("markers"):
-        lines.append(("markers", f"{facts['markers']}, {100 * facts['missing_share']:.2g}% missing"))
+    if facts["markers"]:
+        low, high = facts.get("marker_height_m", (0.0, 0.0))
+        missing = f"{100 * facts['missing_share']:.2g}% missing"
+        lines.append(("markers", f"{facts['markers']}, {missing}, {low:.2f} to {high:.2f} m high"))
     signals = facts.get("signals", ())
     lines += [(s["kind"], f"{s['channels']} channels at {s['rate_hz']:.6g} Hz") for s in signals]
     if facts.get("force_plates"):
         lines.append(("force plates", str(facts["force_plates"])))
+    for tier in facts.get("tiers", ()):
+        lines.append(
+            (tier["name"] or "tier", f"{tier['labels']} labels, {tier['start_s']:.3f} to {tier['end_s']:.3f} s")
+        )
     return lines

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from keypose.cli.console import console
-from keypose.cli.inputs import open_inputs, unit_option
+from keypose.cli.inputs import open_chosen, unit_option
+from keypose.cli.options import choose, parameters
 from keypose.errors import FormatError
 from keypose.model import Clip, Motion, Scene
 
@@ -16,50 +18,78 @@ class ConversionError(FormatError):
     """The file that was written does not hold what it should."""
 
 
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What is changed between reading and writing, in this order; nothing by default."""
+
+    skip: int = 0
+    scale: float = 1.0
+    turn_deg: float = 0.0
+    raise_m: float = 0.0
+    rate_hz: float | None = None
+    influences: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Strictness:
+    """What the file read back may differ by; ``relative`` is a share of the size of everything."""
+
+    fail: bool = False
+    limit_mm: float = 1e-3
+    limit_deg: float = 1e-4
+    relative: float = 0.0
+
+
 def convert_files(
     inputs: list[str],
     output: Path,
     *,
     clip: str | None,
-    rate_hz: float | None,
+    changes: Changes,
     unit: str | None,
     up: str | None,
     out_unit: str | None,
     order: str | None,
-    quiet: bool,
-    strict: bool = False,
-    limit_mm: float = 1e-3,
-    limit_deg: float = 1e-4,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+    quiet: bool = False,
+    strictness: Strictness | None = None,
 ) -> None:
     """Write the inputs as one file and print how far the file read back is from what was written.
 
     Raises:
-        ConversionError: with ``strict``, where it is farther than the limits or something was not kept.
+        ConversionError: where it must not, and is farther than the limits or lacks something.
     """
     from keypose import io
     from keypose.io.registry import format_of_suffix, unknown_format
 
+    strictness = strictness or Strictness()
     chosen = format_of_suffix(output)
     if chosen is None or not chosen.write:  # told before anything is read
         raise unknown_format(output, writing=True)
-    scene = combine(inputs, open_inputs(inputs, unit=unit, up=up))
+    given = choose(options, inputs, output)
+    scene = combine(inputs, open_chosen(inputs, given, unit=unit, up=up, skeleton=skeleton))
     if clip is not None:
         scene = replace(scene, animations=(scene.animation(clip),))
-    options: dict[str, Any] = {
-        "rate_hz": rate_hz,
-        "unit": None if out_unit is None else unit_option(out_unit),
-        "order": order,
-    }
-    write_notes = io.save(scene, output, **{name: value for name, value in options.items() if value is not None})
-    if quiet and not strict:
+    known = parameters(chosen.writer())
+    writing = {"unit": None if out_unit is None else unit_option(out_unit), "order": order}
+    writing = {name: value for name, value in writing.items() if value is not None} | given.writing
+    if changes.rate_hz is not None and "rate_hz" in known:
+        writing["rate_hz"] = changes.rate_hz
+        changes = replace(changes, rate_hz=None)
+    scene, change_notes = changed(scene, changes)
+    write_notes = io.save(scene, output, **writing)
+    if quiet and not strictness.fail:
         return
     from keypose.analysis import scene_error
 
-    error = scene_error(scene, _read_back(scene, output, out_unit))
-    if strict and not error.within(limit_mm, limit_deg):
+    written_unit = writing.get("unit")
+    error = scene_error(scene, _read_back(scene, output, written_unit))
+    if strictness.fail and not error.within(strictness.limit_mm, strictness.limit_deg, strictness.relative):
         worst = "; ".join(error.lines())
+        limit_mm = max(strictness.limit_mm, strictness.relative * error.size_mm)
         raise ConversionError(
-            f"not within {limit_mm:g} mm and {limit_deg:g} degrees of what was read: {worst}", path=output
+            f"not within {limit_mm:.3g} mm and {strictness.limit_deg:g} degrees of what was read: {worst}", path=output
         )
     if quiet:
         return
@@ -67,20 +97,44 @@ def convert_files(
 
     out = console()
     out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
-    for note in (*scene.notes, *write_notes):
+    for note in (*scene.notes, *change_notes, *write_notes):
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in [*_unsaid(scene, output, out_unit), *error.lines()]:
+    for line in [*_unsaid(scene, output, written_unit), *error.lines()]:
         out.print(f"  {escape(line)}")
 
 
-def _bvh_conventions(scene: Scene, out_unit: str | None) -> dict[str, Any]:
+def changed(scene: Scene, changes: Changes) -> tuple[Scene, list[str]]:
+    """The scene with the changes, and what is to be said of them.
+
+    Raises:
+        ShapeError: where the scene has nothing that a change is about.
+    """
+    from keypose.analysis import cures
+
+    notes: list[str] = []
+    if changes.skip:
+        scene = cures.without_first(scene, changes.skip)
+    if changes.scale != 1.0:
+        scene = cures.scaled(scene, changes.scale)
+    if changes.turn_deg:
+        scene = cures.turned(scene, changes.turn_deg)
+    if changes.raise_m:
+        scene = cures.raised(scene, changes.raise_m)
+    if changes.rate_hz is not None:
+        scene = cures.at_rate(scene, changes.rate_hz)
+    if changes.influences is not None:
+        scene, notes = cures.packed(scene, changes.influences)
+    return scene, notes
+
+
+def _bvh_conventions(scene: Scene, out_unit: str | float | None) -> dict[str, Any]:
     from keypose.io.bvh_writer import written_as
 
-    unit_m, up = written_as(scene.character, unit=None if out_unit is None else unit_option(out_unit))
+    unit_m, up = written_as(scene.character, unit=out_unit)
     return {"unit": unit_m, "up": up}
 
 
-def _conventions(scene: Scene, output: Path, out_unit: str | None) -> dict[str, Any]:
+def _conventions(scene: Scene, output: Path, out_unit: str | float | None) -> dict[str, Any]:
     """Unit and axes of a written file whose format says them not at all or in part; empty for others."""
     suffix = output.suffix.lower()
     if suffix == ".bvh":
@@ -88,19 +142,19 @@ def _conventions(scene: Scene, output: Path, out_unit: str | None) -> dict[str, 
     if suffix in (".trc", ".csm"):
         from keypose.io.marker_tables import written_as
 
-        unit_m, up = written_as(scene, suffix[1:].upper(), None if out_unit is None else unit_option(out_unit))
+        unit_m, up = written_as(scene, suffix[1:].upper(), out_unit)
         return {"unit": unit_m, "up": up}
     return {}
 
 
-def _read_back(scene: Scene, output: Path, out_unit: str | None) -> Scene:
+def _read_back(scene: Scene, output: Path, out_unit: str | float | None) -> Scene:
     """The file as it was meant: one that does not say its unit or axes is read in those it was written in."""
     from keypose import io
 
     return io.load(output, **_conventions(scene, output, out_unit))
 
 
-def _unsaid(scene: Scene, output: Path, out_unit: str | None) -> list[str]:
+def _unsaid(scene: Scene, output: Path, out_unit: str | float | None) -> list[str]:
     """A warning where a reader of the file would guess another unit or axis than was written."""
     from keypose import io
     from keypose.io.axes import unit_name

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from keypose.cli.console import console
+from keypose.cli.info_project import print_project
 from keypose.cli.inputs import file_word, open_input
 from keypose.model import Clip, Motion, Scene
 
@@ -53,12 +55,21 @@ def describe(scene: Scene) -> dict[str, Any]:
         "morph_names": morphs,
         "clips": clips,
         "notes": list(scene.notes),
+        **({"project": scene.extras["project"]} if "project" in scene.extras else {}),
     }
 
 
-def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | None) -> None:
+def print_info(
+    reference: str,
+    *,
+    as_json: bool,
+    unit: str | None,
+    up: str | None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+) -> None:
     """Print what a file holds, for people or as JSON."""
-    scene = open_input(reference, unit=unit, up=up)
+    scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
     facts = describe(scene)
     if as_json:
         print(json.dumps(facts, indent=1, ensure_ascii=False))
@@ -97,6 +108,8 @@ def print_info(reference: str, *, as_json: bool, unit: str | None, up: str | Non
             )
         out.print(table)
     _print_capture(out, scene)
+    if "project" in scene.extras:
+        print_project(out, scene.extras["project"])
     for tier in scene.tiers:
         kind = "point" if tier.is_points else "interval"
         spoken = " ".join(label for label in tier.labels if label)

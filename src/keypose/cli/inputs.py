@@ -2,47 +2,70 @@
 
 from __future__ import annotations
 
-import inspect
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from keypose.cli.options import Chosen, choose, parameters, reader_of, with_option
 from keypose.errors import ShapeError
 from keypose.model import Scene
 
 
-def open_input(reference: str, *, unit: str | None = None, up: str | None = None) -> Scene:
+def open_input(
+    reference: str,
+    *,
+    unit: str | None = None,
+    up: str | None = None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+) -> Scene:
     """The scene of a file or of ``sample:NAME``; raises where its format does not take the options."""
-    from keypose.samples import open_scene
-
-    return open_scene(reference, **_options(unit, up))
+    return open_inputs([reference], unit=unit, up=up, skeleton=skeleton, options=options)[0]
 
 
-def open_inputs(references: list[str], *, unit: str | None = None, up: str | None = None) -> list[Scene]:
-    """Several scenes; the options go to those files whose format does not say its unit and axes.
+def open_inputs(
+    references: list[str],
+    *,
+    unit: str | None = None,
+    up: str | None = None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+) -> list[Scene]:
+    """Several scenes; ``unit``, ``up`` and ``skeleton`` go to those files whose format takes them.
 
     Raises:
-        ShapeError: where no file takes an option that was given.
+        ShapeError, UnknownName: where no file takes an option that was given.
     """
-    if len(references) == 1:
-        return [open_input(references[0], unit=unit, up=up)]
-    given = _options(unit, up)
-    takers = {name: [r for r in references if _takes(r, name)] for name in given}
-    for name, takes in takers.items():
-        if not takes:
-            raise ShapeError(f"--{name}: all of these files say their {name}, so there is nothing to set")
-    skeletons = [r for r in references if Path(r).suffix.lower() == ".asf"]
-    return [
-        _open(r, {name: value for name, value in given.items() if r in takers[name]}, skeletons) for r in references
-    ]
+    return open_chosen(references, choose(options, references), unit=unit, up=up, skeleton=skeleton)
 
 
-def _open(reference: str, options: dict[str, Any], skeletons: list[str]) -> Scene:
-    """One of several inputs; an AMC file, which holds no skeleton, takes the one that is named beside it."""
+def open_chosen(
+    references: list[str],
+    chosen: Chosen,
+    *,
+    unit: str | None = None,
+    up: str | None = None,
+    skeleton: str | None = None,
+) -> list[Scene]:
+    """As `open_inputs`, with options that are sorted already."""
     from keypose.samples import open_scene
 
-    if len(skeletons) == 1 and _takes(reference, "skeleton") and reference not in skeletons:
-        options = {**options, "skeleton": skeletons[0]}
-    return open_scene(reference, **options)
+    for name, value in (("unit", unit), ("up", up)):
+        if value is None:
+            continue
+        if not any(name in parameters(reader_of(r)) for r in references):
+            one = len(references) == 1
+            what = "this file says its" if one else "all of these files say their"
+            raise ShapeError(f"--{name}: {what} {name}, so there is nothing to set")
+        chosen = with_option(chosen, references, name, unit_option(value) if name == "unit" else value)
+    if skeleton is not None:
+        chosen = with_option(chosen, references, "skeleton", skeleton)
+    given = [dict(own) for own in chosen.reading]
+    # An AMC file, which holds no skeleton, takes the one that is named beside it.
+    skeletons = [r for r in references if Path(r).suffix.lower() == ".asf"]
+    for own, reference in zip(given, references, strict=True):
+        if len(skeletons) == 1 and reference not in skeletons and "skeleton" in parameters(reader_of(reference)):
+            own.setdefault("skeleton", skeletons[0])
+    return [open_scene(reference, **own) for reference, own in zip(references, given, strict=True)]
 
 
 def file_word(count: int, word: str, plural: str | None = None) -> str:
@@ -56,19 +79,3 @@ def unit_option(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
-
-
-def _options(unit: str | None, up: str | None) -> dict[str, Any]:
-    options: dict[str, Any] = {}
-    if unit is not None:
-        options["unit"] = unit_option(unit)
-    if up is not None:
-        options["up"] = up
-    return options
-
-
-def _takes(reference: str, option: str) -> bool:
-    from keypose.io.registry import format_of_suffix
-
-    chosen = None if reference.startswith("sample:") else format_of_suffix(Path(reference))
-    return chosen is not None and option in inspect.signature(chosen.reader()).parameters

@@ -105,8 +105,8 @@ def _skeleton(path: Path, start: AmcStart, named: str | Path | None, axes: str) 
         tried.append(f"{candidate.name} has no bone {shown(odd[0])} with {start.counts[odd[0]]} dof")
     found = f" ({'; '.join(tried[:3])[:300]})" if tried else ""
     raise FormatError(
-        f"an AMC file holds no skeleton, and none that fits is beside it{found}; put its ASF file there, give both to "
-        f"keypose convert, or name it in Python: load(path, skeleton='…/{path.stem.split('_')[0][:40]}.asf')",
+        f"an AMC file holds no skeleton, and none that fits is beside it{found}; put its ASF file there, or name it: "
+        f"--skeleton {path.stem.split('_')[0][:40]}.asf, in Python load(path, skeleton='…')",
         path=path,
     )
 

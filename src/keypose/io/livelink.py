@@ -82,7 +82,11 @@ def _table(data: bytes, notes: list[str]) -> tuple[list[str], Floats]:
     head, _, body = text.partition(b"\n")
     header = [word.strip() for word in head.decode("utf-8", "replace").split(",")]
     if len(header) < 3 or header[0].lower() != "timecode" or header[1].lower() != "blendshapecount":
-        raise FormatError(f"expected Timecode,BlendshapeCount,…, got {shown(head)}", where="line 1")
+        raise FormatError(
+            "of .csv files only takes of Live Link Face are understood, which begin with Timecode,BlendshapeCount,…; "
+            f"got {shown(head)}",
+            where="line 1",
+        )
     names = header[2:]
     seen: set[str] = set()
     twice = next((n for n in names if n.lower() in seen or seen.add(n.lower())), None)
