@@ -231,11 +231,11 @@ export interface ProjectCharacter {
   timeline: string;
 }
 
-/** What an operator asks for; ``unit`` is frames, m, deg, s or empty. */
+/** What an operator asks for; ``unit`` is for people. A joint is its name, empty for the operator's own choice. */
 export interface OperatorParameter {
   name: string;
   label: string;
-  kind: "number" | "integer" | "boolean" | "choice";
+  kind: "number" | "integer" | "boolean" | "choice" | "joint" | "text";
   default: number | boolean | string;
   low: number | null;
   high: number | null;
@@ -244,7 +244,7 @@ export interface OperatorParameter {
   help: string;
 }
 
-/** An operator as its form is drawn; ``GET api/project/operators`` lists all. */
+/** An operator as its form is drawn; ``GET api/project/operators`` lists all. ``group``: what has to be selected for it. */
 export interface OperatorSpec {
   name: string;
   label: string;

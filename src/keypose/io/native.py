@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,8 @@ def read_document(path: Path) -> Document:
 def read(path: Path) -> Scene:
     """The characters of a project, what its timelines make of them, and its other clips (`evaluate.perform`).
 
+    ``extras["project"]`` says what the project holds: clips with their keys, timelines, poses and performances.
+
     Raises:
         FormatError: where the file is damaged, with the place.
     """
@@ -176,7 +179,35 @@ def read(path: Path) -> Scene:
         scene = perform(document)
     except KeyposeError as error:
         raise FormatError(str(error), path=path) from None
-    return scene
+    return replace(scene, extras={"project": summary(document)})
+
+
+def summary(document: Document) -> dict[str, Any]:
+    """What a project holds, in names and numbers."""
+    return {
+        "name": document.name,
+        "version": VERSION,
+        "characters": [
+            {"name": name, "joints": who.skeleton.joint_count, "timeline": document.performs.get(name)}
+            for name, who in document.characters.items()
+        ],
+        "clips": [
+            {"name": name, "curves": len(clip.curves), "keys": sum(c.key_count for c in clip.curves.values())}
+            for name, clip in document.clips.items()
+        ],
+        "timelines": [
+            {
+                "name": name,
+                "layers": len(track.layers),
+                "placements": sum(len(layer.placements) for layer in track.layers),
+                "start_s": track.start_s,
+                "end_s": track.end_s,
+                "rate_hz": track.rate_hz,
+            }
+            for name, track in document.timelines.items()
+        ],
+        "poses": list(document.poses),
+    }
 
 
 def write(scene: Scene, path: Path) -> tuple[str, ...]:

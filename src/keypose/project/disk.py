@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import secrets
+import time
 from pathlib import Path
 
 
@@ -73,7 +75,7 @@ def write_whole(disk: Disk, path: Path, data: bytes, mode: int = 0o666) -> None:
     target = Path(os.path.realpath(path))
     with contextlib.suppress(OSError):
         mode = target.stat().st_mode & 0o777
-    temporary = target.with_name(f".{target.name[:80]}-{secrets.token_hex(4)}.part")
+    temporary = target.with_name(f"{_part_stem(target)}{secrets.token_hex(4)}.part")
     handle = disk.create(temporary, mode)
     try:
         try:
@@ -87,3 +89,16 @@ def write_whole(disk: Disk, path: Path, data: bytes, mode: int = 0o666) -> None:
             disk.remove(temporary)
         raise
     disk.sync_folder(target.parent)
+
+
+def remove_parts(disk: Disk, path: Path, *, older_than_s: float = 0.0) -> None:
+    """Remove what writers of this file left when they ended in the middle of it; nobody may be writing it now."""
+    target = Path(os.path.realpath(path))
+    with contextlib.suppress(OSError):
+        for part in target.parent.glob(f"{glob.escape(_part_stem(target))}????????.part"):
+            if time.time() - part.stat().st_mtime >= older_than_s:
+                disk.remove(part)
+
+
+def _part_stem(target: Path) -> str:
+    return f".{target.name[:80]}-"

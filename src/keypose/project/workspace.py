@@ -20,7 +20,7 @@ from keypose.io.native import document_bytes
 from keypose.model import Document
 from keypose.project import journal as j
 from keypose.project.commands import Command, apply_all
-from keypose.project.disk import Disk, write_whole
+from keypose.project.disk import Disk, remove_parts, write_whole
 from keypose.project.file import SUFFIX, checked, from_bytes, state_folder
 from keypose.project.history import History
 from keypose.project.locks import Lock, Locked
@@ -99,25 +99,26 @@ class Workspace:
         self._mark_saved()
 
     def open(self, path: str | Path, *, discard: bool = False) -> None:
-        """Let a project file take the place of what is open.
+        """Let a project file take the place of what is open; the file that is open already is read again.
 
         Raises:
             FormatError: where it cannot be read; what is open stays.
             Locked: where another studio has it open.
         """
         target = Path(os.path.expanduser(path)).absolute()
-        if str(target) == self.path:
-            raise FormatError("is open already", path=target)
-        lock = self._lock_file(target)
+        ours = str(target) == self.path and self._file_lock is not None
+        lock = self._file_lock if ours else self._lock_file(target)
         try:
             data, stamp = self._read(target)
             document = from_bytes(data)
-        except FormatError as error:
-            _release(lock)
-            raise (error if error.path else error.at(target)) from None
-        except BaseException:
-            _release(lock)
+        except BaseException as error:
+            if not ours:
+                _release(lock)
+            if isinstance(error, FormatError):
+                raise (error if error.path else error.at(target)) from None
             raise
+        if ours:
+            self._file_lock = None
         self.close(discard=discard)
         self._adopt(History(document), str(target), stamp, j.digest_of(data))
         self._file_lock = lock
@@ -179,7 +180,7 @@ class Workspace:
             self._reach = [self._reach[0] - step, self._reach[1] + step]
         else:  # the journal does not go back as far
             self._write(j.document_record(target, label, time.time()))
-            self._reach = [self._reach[0] + 1, 0]
+            self._reach = [0, 0]  # what the journal would undo now is this step, which is none of ours
         if back:
             history.undo()
         else:
@@ -218,6 +219,7 @@ class Workspace:
                 with contextlib.suppress(OSError):
                     self._journal.write(j.saving_record(digest, str(target)))
                     self._journal.sync()
+            remove_parts(self._disk, target)  # nobody else writes it: we have its lock
             write_whole(self._disk, target, data)
         except NotSaved:
             _release(lock)
@@ -240,17 +242,17 @@ class Workspace:
         """Projects that were not saved before their programs ended, the newest first; those in use are left out."""
         found: list[Unsaved] = []
         for path in self._journals():
-            lock = Lock(path.with_suffix(".lock"))
             try:
-                lock.acquire("the journal")
+                lock = self._lock_journal(path)
             except (Locked, OSError):
                 continue
             try:
+                remove_parts(self._disk, path)
                 unsaved = self._unsaved(path)
                 if unsaved is not None:
                     found.append(unsaved)
             finally:
-                lock.release()
+                _release(lock)
         return sorted(found, key=lambda unsaved: -unsaved.changed_s)
 
     def recover(self, id: str) -> None:
@@ -262,8 +264,7 @@ class Workspace:
             FormatError: where the journal is damaged from its very beginning.
         """
         path = self._journal_path(id)
-        lock = Lock(path.with_suffix(".lock"))
-        lock.acquire("what was not saved")
+        lock = self._lock_journal(path)
         file_lock: Lock | None = None
         try:
             held = j.read_journal(self._disk.read(path))
@@ -274,7 +275,7 @@ class Workspace:
             journal = j.Journal(self._disk, path, held.size)
         except BaseException:
             _release(file_lock)
-            lock.release()
+            _release(lock)
             raise
         if held.path and held.path == self.path:
             file_lock, self._file_lock = self._file_lock, None
@@ -289,12 +290,11 @@ class Workspace:
     def discard(self, id: str) -> None:
         """Forget what could be recovered; raises `UnknownName`, or `Locked` where another studio has it open."""
         path = self._journal_path(id)
-        lock = Lock(path.with_suffix(".lock"))
-        lock.acquire("what was not saved")
+        lock = self._lock_journal(path)
         try:
             self._disk.remove(path)
         finally:
-            lock.release()
+            _release(lock)
 
     def _unsaved(self, path: Path) -> Unsaved | None:
         """What a journal would give back; one that has nothing the file does not have is removed."""
@@ -347,9 +347,7 @@ class Workspace:
         else:
             stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
             path = self._folder() / f"{stamp}-{secrets.token_hex(4)}{j.SUFFIX}"
-            lock = Lock(path.with_suffix(".lock")) if self._locking else None
-            if lock is not None:
-                lock.acquire("the journal")
+            lock = self._lock_journal(path)
             try:
                 self._journal = j.Journal.create(self._disk, path, [begin, *records])
             except BaseException:
@@ -395,6 +393,13 @@ class Workspace:
         if id not in known:
             raise UnknownName("unsaved project", id[:60], known)
         return known[id]
+
+    def _lock_journal(self, path: Path) -> Lock | None:
+        if not self._locking:
+            return None
+        lock = Lock(path.with_suffix(".lock"))
+        lock.acquire("what was not saved")
+        return lock
 
     # ---- the file ----------------------------------------------------------------------------------------------------
 

@@ -141,7 +141,7 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
         return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
 
     async def operators(request: Request) -> Response:
-        return JSONResponse([dataclasses.asdict(spec) for spec in operator_specs()])
+        return JSONResponse([dataclasses.asdict(spec) for spec in await asyncio.to_thread(operator_specs)])
 
     async def export(request: Request) -> Response:
         asked = request.query_params

@@ -118,11 +118,11 @@ class ProjectCharacter:
 
 @dataclass(frozen=True, slots=True)
 class OperatorParameter:
-    """What an operator asks for; ``unit`` is frames, m, deg, s or empty."""
+    """What an operator asks for; ``unit`` is for people. A joint is its name, empty for the operator's own choice."""
 
     name: str
     label: str
-    kind: Literal["number", "integer", "boolean", "choice"]
+    kind: Literal["number", "integer", "boolean", "choice", "joint", "text"]
     default: float | bool | str
     low: float | None
     high: float | None
@@ -133,7 +133,7 @@ class OperatorParameter:
 
 @dataclass(frozen=True, slots=True)
 class OperatorSpec:
-    """An operator as its form is drawn; ``GET api/project/operators`` lists all."""
+    """An operator as its form is drawn; ``GET api/project/operators`` lists all. ``group``: what has to be selected for it."""
 
     name: str
     label: str

@@ -2,38 +2,65 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
 
-from keypose.errors import UnknownName
-from keypose.model import Character, Clip
-from keypose.studio.edit_messages import OperatorSpec
+from keypose.errors import ShapeError
+from keypose.model import Document, Skeleton
+from keypose.studio.edit_messages import OperatorParameter, OperatorSpec
 from keypose.studio.edit_wire import Operation
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Operated:
-    """What an operator made: the clip, what the step is called, and what it says of its work."""
-
-    clip: Clip
-    label: str
-    report: str
 
 
 def operator_specs() -> list[OperatorSpec]:
     """All operators, as their forms are drawn from."""
-    if importlib.util.find_spec("keypose.editing.operators") is None:
-        return []
-    operators: Any = importlib.import_module("keypose.editing.operators")
-    return [OperatorSpec(**spec) for spec in operators.describe()]
+    from keypose.editing.operators import OPERATORS
+
+    return [
+        OperatorSpec(
+            name=operator.name,
+            label=operator.label,
+            group=operator.needs,
+            help=operator.description,
+            parameters=[
+                OperatorParameter(
+                    name=p.name,
+                    label=p.label or p.name,
+                    kind=p.type,
+                    default=p.default,
+                    low=p.minimum,
+                    high=p.maximum,
+                    unit=p.unit,
+                    choices=list(p.choices),
+                    help=p.description,
+                )
+                for p in operator.parameters
+            ],
+        )
+        for operator in OPERATORS.values()
+    ]
 
 
-def operated(asked: Operation, clip: Clip, character: Character | None, report: Callable[[float], None]) -> Operated:
-    """A clip changed by an operator.
+def operated(asked: Operation, document: Document) -> tuple[Document, str, str]:
+    """The document after an operator on one of its clips, what the step is called, and what it says of its work.
 
     Raises:
-        KeyposeError: where there is no such operator, or it cannot be done.
+        KeyposeError: where there is no such operator, clip or character, or it cannot be done.
     """
-    raise UnknownName("operator", asked.operator, [spec.name for spec in operator_specs()])
+    from keypose.editing.operators import OPERATORS, run_operator
+    from keypose.editing.selection import Selection
+
+    clip = document.clip(asked.clip)
+    keys = {channel: indices.tolist() for channel, indices in asked.keys.items() if indices is not None}
+    selection = Selection(tuple(asked.keys) or None, keys or None, asked.start_s, asked.end_s)
+    result = run_operator(asked.operator, clip, _skeleton(asked, document), selection, asked.parameters)
+    changed = replace(document, clips={**document.clips, clip.name: replace(result.clip, name=clip.name)})
+    return changed, OPERATORS[asked.operator].label, result.report
+
+
+def _skeleton(asked: Operation, document: Document) -> Skeleton:
+    """Of the character that was named, else of the first."""
+    if asked.character:
+        return document.character(asked.character).skeleton
+    first = next(iter(document.characters.values()), None)
+    if first is None:
+        raise ShapeError("operators need a skeleton to measure on; add a character first")
+    return first.skeleton

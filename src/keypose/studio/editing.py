@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -214,28 +213,21 @@ class Editing:
     async def _operate(self, asked: Operation) -> str:
         """Change a clip by an operator; returns its report."""
         document = self.workspace.document
-        clip = document.clip(asked.clip)
-        who = document.character(asked.character) if asked.character else None
         job = f"operate {next(self._jobs)}"
-        loop = asyncio.get_running_loop()
-
-        def report(fraction: float) -> None:
-            message = messages.Progress("progress", job, asked.operator.replace("_", " "), fraction, done=False)
-            loop.call_soon_threadsafe(self._session.broadcast, message, job)
-
+        label = asked.operator.replace("_", " ").capitalize()[:60]
+        self._session.broadcast(messages.Progress("progress", job, label, None, done=False), job)
         try:
-            result = await asyncio.to_thread(operated, asked, clip, who, report)
+            after, label, report = await asyncio.to_thread(operated, asked, document)
             # only what the operator changed goes to the journal
-            after = replace(document, clips={**document.clips, clip.name: result.clip})
             commands: list[Command] = [
-                SetCurves(clip.name, change.curves, change.removed, change.clip.euler_orders)
+                SetCurves(change.clip.name, change.curves, change.removed, change.clip.euler_orders)
                 for change in difference(document, after).clips
             ]
             if commands:
-                await self._do(commands, result.label, id=asked.id)
+                await self._do(commands, label, id=asked.id)
         finally:
             self._session.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
-        return result.report
+        return report
 
     async def _save(self, outbox: Outbox, path: str | None, *, force: bool) -> None:
         async def act() -> str:
@@ -295,7 +287,7 @@ class Editing:
             status=self._status(),
             characters=await self._characters(),
             recoverable=await self.recoverable(),
-            operators=[spec.name for spec in operator_specs()],
+            operators=[spec.name for spec in await asyncio.to_thread(operator_specs)],
             exports=list(EXPORTS),
             folder=str(Path.cwd()),
             **document_fields(self.workspace.document, storing(body)),

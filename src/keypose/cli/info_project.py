@@ -1,0 +1,27 @@
+"""What `keypose info` says of a project."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from keypose.cli.inputs import file_word
+
+
+def print_project(out: Any, project: dict[str, Any]) -> None:
+    """Clips with their keys, timelines and who performs them, poses."""
+    from rich.markup import escape
+
+    out.print(f"  project [bold]{escape(project['name'] or '(unnamed)')}[/bold] [dim](version {project['version']})[/dim]")
+    for clip in project["clips"]:
+        keys = f"{file_word(clip['curves'], 'curve')}, {file_word(clip['keys'], 'key')}"
+        out.print(f"    clip {escape(clip['name'])}: {keys}")
+    for track in project["timelines"]:
+        who = [c["name"] for c in project["characters"] if c["timeline"] == track["name"]]
+        moves = f", moves {escape(', '.join(who))}" if who else ""
+        out.print(
+            f"    timeline {escape(track['name'])}: {file_word(track['layers'], 'layer')}, "
+            f"{file_word(track['placements'], 'placed clip')}, {track['start_s']:.6g} to {track['end_s']:.6g} s "
+            f"at {track['rate_hz']:.6g} Hz{moves}"
+        )
+    if project["poses"]:
+        out.print(f"    {file_word(len(project['poses']), 'pose')}: {escape(', '.join(project['poses'][:24]))}")
