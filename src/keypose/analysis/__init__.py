@@ -1,21 +1,27 @@
 """Measurements: which joint is which, where feet touch the ground, what a conversion changed, what is wrong with a file."""
 
-from keypose.analysis.contacts import contact_changes, find_contacts
+from keypose.analysis.contacts import contact_changes, find_contacts, foot_contacts
 from keypose.analysis.doctor import Examination, Finding, examine
 from keypose.analysis.proof import SceneError, scene_error
+from keypose.analysis.quality import Quality, TakeDifference, compare_takes, measure_quality
 from keypose.analysis.roles import RoleMap, find_roles, roles_from_json
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 
 __all__ = [
     "Examination",
     "Finding",
+    "Quality",
     "RoleMap",
     "RoundtripError",
     "SceneError",
+    "TakeDifference",
+    "compare_takes",
     "contact_changes",
     "examine",
     "find_contacts",
     "find_roles",
+    "foot_contacts",
+    "measure_quality",
     "roles_from_json",
     "roundtrip_error",
     "scene_error",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from keypose.arrays import Floats, as_float, checked
 from keypose.errors import ShapeError
+
+_LEG_M = 0.85  # the length of leg that limits in metres are meant for
 
 
 def find_contacts(
@@ -57,6 +60,37 @@ def find_contacts(
         touching[:, n] = ~_without_short(~touching[:, n], shortest, period < frames)
         touching[:, n] = _without_short(touching[:, n], shortest, period < frames)
     return np.concatenate([touching, touching[:1]]) if period < frames else touching
+
+
+def foot_contacts(
+    roles: Mapping[str, int],
+    places: Floats,
+    rate_hz: float,
+    leg_m: float,
+    *,
+    height_m: float = 0.03,
+    speed_m_s: float = 0.25,
+) -> dict[str, np.ndarray]:
+    """When heels (``left_heel``) and balls (``left_ball``) of the feet touch the ground, (T,) bool each.
+
+    Shapes and units: ``places`` (T, J, 3) metres; limits in metres and metres a second are those of a leg of 0.85 m and
+    grow with ``leg_m``. The ankle stands for the heel and the toe joint for the ball; the ground under each is its own lowest
+    height, without the lowest two in a hundred frames.
+    """
+    size = leg_m / _LEG_M
+    points = {"heel": "foot", "ball": "toes"}
+    found: dict[str, np.ndarray] = {}
+    for side in ("left", "right"):
+        for point, role in points.items():
+            if f"{side}_{role}" not in roles:
+                continue
+            joint = roles[f"{side}_{role}"]
+            track = places[:, joint : joint + 1]
+            floor = np.percentile(track[..., 1], 2.0)
+            found[f"{side}_{point}"] = find_contacts(
+                track, rate_hz, height_m=height_m * size, speed_m_s=speed_m_s * size, floor_m=floor
+            )[:, 0]
+    return found
 
 
 def contact_changes(touching: Any, cyclic: bool = False) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from keypose.analysis.contacts import find_contacts
+from keypose.analysis.contacts import foot_contacts
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError, ShapeError
@@ -24,8 +24,6 @@ from keypose.math import quat, spline
 from keypose.model import Motion, Pose, Skeleton
 
 Touching = Mapping[str, np.ndarray]
-
-_LEG_M = 0.85  # the length of leg that the limits in metres are meant for
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,31 +60,6 @@ class PlantResult:
     short_m: float
 
 
-def foot_contacts(
-    roles: Mapping[str, int], places: Floats, rate_hz: float, leg_m: float, options: PlantOptions
-) -> dict[str, np.ndarray]:
-    """When heels (``left_heel``) and balls (``left_ball``) of the feet touch the ground, (T,) bool each.
-
-    Shapes and units: ``places`` (T, J, 3) metres. The ankle stands for the heel and the toe joint for the ball; the ground
-    under each is its own lowest height, without the lowest two in a hundred frames.
-    """
-    size = leg_m / _LEG_M
-    points = {
-        f"{s}_{n}": roles[f"{s}_{r}"]
-        for s in SIDES
-        for n, r in (("heel", "foot"), ("ball", "toes"))
-        if f"{s}_{r}" in roles
-    }
-    found: dict[str, np.ndarray] = {}
-    for name, joint in points.items():
-        track = places[:, joint : joint + 1]
-        floor = np.percentile(track[..., 1], 2.0)
-        found[name] = find_contacts(
-            track, rate_hz, height_m=options.height_m * size, speed_m_s=options.speed_m_s * size, floor_m=floor
-        )[:, 0]
-    return found
-
-
 def plant_feet(
     motion: Motion,
     skeleton: Skeleton,
@@ -113,7 +86,9 @@ def plant_feet(
     turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, motion.pose.broadcast()))
     leg_m = _leg_length(roles, places)
     if touching is None:
-        touching = foot_contacts(roles, places, motion.rate_hz, leg_m, options)
+        touching = foot_contacts(
+            roles, places, motion.rate_hz, leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s
+        )
     corrections = {side: _corrections(side, roles, places, touching, heights) for side in SIDES}
     drop = np.zeros((len(places), 3))
     if options.lower_hips:

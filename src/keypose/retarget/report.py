@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from keypose.analysis.contacts import foot_contacts
+from keypose.analysis.quality import carried_speeds
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion
 from keypose.retarget.body import BodyFrames
-from keypose.retarget.planting import PlantOptions, foot_contacts
+from keypose.retarget.planting import PlantOptions
 
 _LIMBS = (
     ("upper_arm", "lower_arm"), ("lower_arm", "hand"), ("upper_leg", "lower_leg"), ("lower_leg", "foot"), ("foot", "toes"),
@@ -62,9 +64,10 @@ def compare_motions(
     for low, high in _BONES:
         if all(role in body.roles for role in (low, high) for body in (own, other)):
             directions[low] = float(np.mean(_angles(_way(own, a, low, high), _way(other, b, low, high))))
-    touching = foot_contacts(own.roles, a, source.rate_hz, own.leg_m, options)
-    slide, worst, frames = _slide(other, b, touching, target.rate_hz)
-    mine, _, _ = _slide(own, a, touching, source.rate_hz)
+    touching = body_contacts(own, a, source.rate_hz, options)
+    speeds = carried_speeds(other.roles, b, touching, target.rate_hz)
+    theirs = carried_speeds(own.roles, a, touching, source.rate_hz)
+    frames = int(np.sum(np.any(list(touching.values()), axis=0))) if touching else 0
     feet = [
         (other.roles[r], other.places[other.roles[r], 1])
         for s in SIDES
@@ -73,7 +76,22 @@ def compare_motions(
     ]
     sink = max((float((rest - b[:, joint, 1]).max()) for joint, rest in feet), default=0.0)
     mean = float(np.mean(list(directions.values()))) if directions else 0.0
-    return RetargetReport(directions, mean, slide, worst, mine, max(0.0, 100.0 * sink), frames)
+    return RetargetReport(
+        directions,
+        mean,
+        float(speeds.mean()) if len(speeds) else 0.0,
+        float(speeds.max()) if len(speeds) else 0.0,
+        float(theirs.mean()) if len(theirs) else 0.0,
+        max(0.0, 100.0 * sink),
+        frames,
+    )
+
+
+def body_contacts(body: BodyFrames, places: Floats, rate_hz: float, options: PlantOptions) -> dict[str, np.ndarray]:
+    """When heels and balls of a body's feet touch the ground, by the limits of planting; see `foot_contacts`."""
+    return foot_contacts(
+        body.roles, places, rate_hz, body.leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s
+    )
 
 
 def _way(body: BodyFrames, places: Floats, low: str, high: str) -> Floats:
@@ -85,25 +103,3 @@ def _angles(a: Floats, b: Floats) -> Floats:
     a = a / np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-12)
     b = b / np.maximum(np.linalg.norm(b, axis=-1, keepdims=True), 1e-12)
     return np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
-
-
-def _slide(
-    body: BodyFrames, places: Floats, touching: dict[str, np.ndarray], rate_hz: float
-) -> tuple[float, float, int]:
-    """Mean and largest level speed (cm/s) of the carrying points over steps that begin and end in contact, and frames."""
-    speeds: list[Floats] = []
-    frames = 0
-    for side in SIDES:
-        ball = touching.get(f"{side}_ball", np.zeros(len(places), bool))
-        for point, role, flag in (
-            ("ball", "toes", ball),
-            ("heel", "foot", touching.get(f"{side}_heel", np.zeros(len(places), bool)) & ~ball),
-        ):
-            if f"{side}_{role}" not in body.roles or f"{side}_{point}" not in touching:
-                continue
-            frames += int(flag.sum())
-            both = flag[1:] & flag[:-1]
-            step = np.diff(places[:, body.roles[f"{side}_{role}"]], axis=0)[both]
-            speeds.append(100.0 * rate_hz * np.hypot(step[:, 0], step[:, 2]))
-    every = np.concatenate(speeds) if speeds else np.zeros(0)
-    return (float(every.mean()), float(every.max()), frames) if len(every) else (0.0, 0.0, frames)

@@ -14,8 +14,8 @@ from keypose.evaluate import bake, key_rate, match, resample, world_rotations_po
 from keypose.math import quat
 from keypose.model import Clip, Motion, Pose, Skeleton
 from keypose.retarget.body import BodyFrames, body_frames, find_stand
-from keypose.retarget.planting import PlantOptions, foot_contacts, plant_feet
-from keypose.retarget.report import RetargetReport, compare_motions
+from keypose.retarget.planting import PlantOptions, plant_feet
+from keypose.retarget.report import RetargetReport, body_contacts, compare_motions
 
 Roles = RoleMap | Mapping[str, int]
 
@@ -91,7 +91,7 @@ def retarget(
         raise ShapeError(f"scale: expected more than 0, got {scale}")
     ratio = other.leg_m / own.leg_m if scale is None else float(scale)
     turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(source, motion.pose.broadcast()))
-    touching = foot_contacts(own.roles, places, motion.rate_hz, own.leg_m, plant or PlantOptions())
+    touching = body_contacts(own, places, motion.rate_hz, plant or PlantOptions())
     own = _levelled(own, turned, touching)
     model = _model_rotations(own, other, turned)
     hips = _hips_path(own, other, turned, places, model, ratio)
