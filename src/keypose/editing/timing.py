@@ -85,7 +85,10 @@ def constant_speed(curve: Curve, tolerance: float = 1e-3) -> ConstantSpeed:
     moving = np.concatenate([[True], np.diff(share) > 1e-12])
     share_m, at_m = share[moving], at[moving]
     at_m[-1] = end
-    keys = np.array([0.0, 1.0])
+    # The speed may change at once at the curve's own keys, and the warp bends there.
+    keys = np.unique(np.concatenate([[0.0, 1.0], np.interp(curve.times_s, at, share)]))
+    keys = keys[np.concatenate([[True], np.diff(keys) > 1e-9])]
+    keys[-1] = 1.0
     error = np.inf
     for _ in range(14):
         values = np.interp(keys, share_m, at_m)
