@@ -243,6 +243,73 @@ def convert(
     )
 
 
+@app.command(
+    epilog=_examples(
+        "keypose retarget walk.bvh --to hero.glb hero-walking.glb",
+        "keypose retarget 02_01.amc --to sample:human walk.mp4 [dim]# look at it at once[/dim]",
+        "keypose roles hero.glb map.json && keypose retarget run.fbx --to hero.glb out.glb --to-roles map.json",
+    )
+)
+def retarget(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    to: Annotated[str, typer.Option("--to", metavar="CHARACTER", help="Who is to move.", show_default=False)],
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    scale: Annotated[
+        float | None, typer.Option("--scale", help="Length of the way; by leg length if not given.", min=0.001)
+    ] = None,
+    no_plant: Annotated[bool, typer.Option("--no-plant", help="Leave feet where the angles put them.")] = False,
+    from_roles: Annotated[
+        Path | None, typer.Option("--from-roles", metavar="MAP", help="Roles of the motion's joints (keypose roles).")
+    ] = None,
+    to_roles: Annotated[
+        Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
+    ] = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Put a motion on another character, feet planted, and print how well it fits."""
+    from keypose.cli.retarget import retarget_file
+
+    retarget_file(
+        motion,
+        to,
+        output,
+        clip=clip,
+        rate_hz=rate,
+        scale=scale,
+        plant=not no_plant,
+        source_roles=from_roles,
+        target_roles=to_roles,
+        unit=unit,
+        up=up,
+        quiet=quiet,
+    )
+
+
+@app.command(
+    epilog=_examples("keypose roles hero.fbx", "keypose roles hero.fbx map.json [dim]# correct it by hand[/dim]")
+)
+def roles(
+    file: OneInput,
+    output: Annotated[
+        Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
+    from keypose.cli.retarget import print_roles
+
+    if not print_roles(file, output, as_json=json):
+        raise typer.Exit(1)
+
+
 class Theme(StrEnum):
     """The look of the picture."""
 
