@@ -22,8 +22,9 @@ from keypose.io.asf import DOFS, AsfBone, AsfText, Vector, compose_asf
 from keypose.io.atomic import replacing
 from keypose.io.axes import UNITS_M, unit_in_metres
 from keypose.io.bvh_channels import Layout, write_degrees
+from keypose.io.joint_motion import depth_first, motion_to_write
 from keypose.math import euler, quat
-from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
+from keypose.model import Character, Motion, Pose, Scene, Skeleton
 
 _DEFAULT_RATE_HZ = 120.0
 _RESOLUTION_M = 1e-8
@@ -65,7 +66,11 @@ def write(
     known = _Known.of(character)
     unit_m = known.unit_m if unit is None else unit_in_metres(unit)
     with_motion = path.suffix.lower() == ".amc"
-    motion = _motion(scene, character, rate_hz, animation, notes) if with_motion else _at_rest(character.skeleton)
+    motion = (
+        motion_to_write(scene, character, "AMC", _DEFAULT_RATE_HZ, rate_hz, animation, notes)
+        if with_motion
+        else _at_rest(character.skeleton)
+    )
     if not with_motion and scene.animations:
         notes.append(
             "animations are not in the file: ASF holds a skeleton; give a name that ends in .amc to write both"
@@ -214,35 +219,6 @@ class _Bones:
         return [bone.name for bone in self.bones]
 
 
-def _motion(
-    scene: Scene, character: Character, rate_hz: float | None, animation: str | None, notes: list[str]
-) -> Motion:
-    from keypose import evaluate
-
-    skeleton = character.skeleton
-    if not scene.animations and animation is None:
-        notes.append("there is no animation: one frame of the rest pose was written")
-        return _at_rest(skeleton, rate_hz or _DEFAULT_RATE_HZ)
-    chosen = scene.animation(animation)
-    notes += [f"animation '{a.name}' is not in the file: AMC holds one" for a in scene.animations if a is not chosen]
-    if isinstance(chosen, Clip):
-        rate = rate_hz or evaluate.key_rate(chosen)
-        if rate is None:
-            rate = _DEFAULT_RATE_HZ
-            notes.append(f"the clip's keys are at no steady rate; it was sampled at {rate:g} Hz")
-        motion = evaluate.bake(evaluate.match(chosen, skeleton), skeleton, rate)
-    else:
-        motion = chosen
-        if motion.joint_names != skeleton.names:
-            notes += evaluate.match_report(motion, skeleton).notes
-            motion = evaluate.match(motion, skeleton)
-        if rate_hz is not None and rate_hz != motion.rate_hz:
-            motion = evaluate.resample(motion, rate_hz)
-    if motion.morph_names or character.morph_names:
-        notes.append("morph weights are not in the file: AMC holds joints only")
-    return motion
-
-
 def _at_rest(skeleton: Skeleton, rate_hz: float = _DEFAULT_RATE_HZ) -> Motion:
     rest = skeleton.rest
     return Motion(skeleton.names, Pose(rest.translations[None], rest.rotations[None], rest.scales[None]), rate_hz)
@@ -313,9 +289,7 @@ def _bones(body: _Body, skeleton: Skeleton, known: _Known, unit_m: float) -> _Bo
     result = _Bones()
     ends: dict[int, Floats] = {0: np.zeros(3)}
     place = {0: -1}
-    stack = list(reversed(children[0]))
-    while stack:
-        joint = stack.pop()
+    for joint in depth_first(body.parents)[1:].tolist():
         parent = body.parents[joint]
         name = _unique(_word(body.names[joint]), taken)
         above = place[parent]
@@ -334,7 +308,6 @@ def _bones(body: _Body, skeleton: Skeleton, known: _Known, unit_m: float) -> _Bo
         bone.mass = {k: float(stored[k]) for k in ("bodymass", "cofmass") if isinstance(stored.get(k), (int, float))}
         place[joint] = _add(result, bone, above, joint, end, unit_m)
         ends[joint] = end
-        stack += reversed(children[joint])
     return result
 
 

@@ -21,8 +21,9 @@ from keypose.io.axes import checked_up, unit_in_metres, y_up_rotation
 from keypose.io.bvh_channels import Flags, child_positions_rule, layout, root_positions_rule, write_degrees
 from keypose.io.bvh_hierarchy import BvhJoint, Hierarchy
 from keypose.io.bvh_text import compose
+from keypose.io.joint_motion import depth_first, motion_to_write
 from keypose.math import quat
-from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
+from keypose.model import Character, Motion, Pose, Scene, Skeleton
 
 _ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
@@ -71,7 +72,7 @@ def write(
     if character.parts:
         notes.append(f"{len(character.parts)} mesh parts are not in the file: BVH holds no meshes")
     remembered = _Remembered.of(character)
-    motion = _motion(scene, character, rate_hz, animation, notes)
+    motion = motion_to_write(scene, character, "BVH", _DEFAULT_RATE_HZ, rate_hz, animation, notes)
     unit_m, up = written_as(character, unit=unit, up=up)
     body = _body(character, motion, remembered, up, notes)
     hierarchy, values = _table(body, remembered, order, unit_m, notes)
@@ -154,39 +155,6 @@ class _Body:
     rotations: Floats  # (T, J, 4)
 
 
-def _motion(
-    scene: Scene, character: Character, rate_hz: float | None, animation: str | None, notes: list[str]
-) -> Motion:
-    from keypose import evaluate
-
-    skeleton = character.skeleton
-    if not scene.animations and animation is None:
-        notes.append("there is no animation: one frame of the rest pose was written")
-        rest = skeleton.rest
-        pose = Pose(rest.translations, rest.rotations[None], rest.scales)
-        return Motion(skeleton.names, pose, rate_hz or _DEFAULT_RATE_HZ)
-    chosen = scene.animation(animation)
-    notes += [f"animation '{a.name}' is not in the file: BVH holds one" for a in scene.animations if a is not chosen]
-    if isinstance(chosen, Clip):
-        rate = rate_hz or evaluate.key_rate(chosen)
-        if rate is None:
-            rate = _DEFAULT_RATE_HZ
-            notes.append(f"the clip's keys are at no steady rate; it was sampled at {rate:g} Hz")
-        motion = evaluate.bake(evaluate.match(chosen, skeleton), skeleton, rate)
-    else:
-        motion = chosen
-        if motion.joint_names != skeleton.names:
-            notes += evaluate.match_report(motion, skeleton).notes
-            motion = evaluate.match(motion, skeleton)
-        if rate_hz is not None and rate_hz != motion.rate_hz:
-            motion = evaluate.resample(motion, rate_hz)
-    if motion.start_s:
-        notes.append(f"the motion starts at {motion.start_s:g} s; BVH files start at 0")
-    if motion.morph_names or character.morph_names:
-        notes.append("morph weights are not in the file: BVH holds joints only")
-    return motion
-
-
 def _body(character: Character, motion: Motion, remembered: _Remembered, up: str, notes: list[str]) -> _Body:
     """Everything turned into the file's space, in the order the file has it."""
     skeleton = character.skeleton
@@ -197,7 +165,7 @@ def _body(character: Character, motion: Motion, remembered: _Remembered, up: str
     ends = [(joint, np.array(offset)) for joint, offset in skeleton.end_offsets]
     if np.any(pose.scales != 1) or np.any(rest.scales != 1):
         translations, offsets, ends = _without_scales(skeleton, pose, translations, offsets, ends, notes)
-    order = _depth_first(skeleton.parents)
+    order = depth_first(skeleton.parents)
     place = np.empty(len(order), np.intp)
     place[order] = np.arange(len(order))
     parents = np.where(skeleton.parents[order] >= 0, place[skeleton.parents[order]], -1)
@@ -429,20 +397,6 @@ def _file_name(name: str, remembered: _Remembered, notes: list[str]) -> str:
     if clean != name:
         notes.append(f"joint {name!r} is called '{clean}' in the file: BVH names hold no braces or line ends")
     return clean
-
-
-def _depth_first(parents: Ints) -> Ints:
-    """Joints in depth-first order, children in their old order."""
-    children: list[list[int]] = [[] for _ in parents]
-    stack: list[int] = []
-    for joint, parent in enumerate(parents):
-        (children[parent] if parent >= 0 else stack).append(joint)
-    stack.reverse()
-    order: list[int] = []
-    while stack:
-        order.append(stack.pop())
-        stack.extend(reversed(children[order[-1]]))
-    return np.array(order, np.intp)
 
 
 def _depth(parents: Ints) -> int:
