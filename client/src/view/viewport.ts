@@ -234,6 +234,7 @@ export class Viewport {
   resize(width: number, height: number): void {
     if (width < 2 || height < 2) return;
     this.size = [width, height];
+    if (this.filming) return;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio) * this.quality);
     this.renderer.setSize(width, height, false);
     this.orbit.resize(width, height);
@@ -291,6 +292,7 @@ export class Viewport {
 
   private readonly frame = (now: number): void => {
     this.handle = requestAnimationFrame(this.frame);
+    if (this.filming) return;
     const began = performance.now();
     const elapsed = Math.min(0.25, Math.max(0, (now - this.last) / 1000));
     this.last = now;
@@ -443,6 +445,39 @@ export class Viewport {
       this.resize(...this.size);
     }
   }
+
+  /**
+   * Take the canvas for a film of so many pixels; until `end`, the loop rests and the window shows what was drawn last.
+   * `bare` leaves out bones, ghosts and all that is drawn over the characters.
+   */
+  film(width: number, height: number, bare: boolean): { draw: () => HTMLCanvasElement; end: () => void } {
+    const { display } = this;
+    this.clock.playing = false;
+    this.filming = true;
+    this.renderer.setPixelRatio(1);
+    this.renderer.setSize(width, height, false);
+    this.orbit.resize(width, height);
+    if (bare) {
+      this.display = { ...display, bones: false, axes: false, weights: false, ghosts: false };
+      this.applyDisplay();
+    }
+    return {
+      draw: () => {
+        this.pose();
+        this.followActive();
+        this.onFrame(this.clock.time, true);
+        this.draw(undefined, bare);
+        return this.canvas;
+      },
+      end: () => {
+        this.filming = false;
+        this.display = display;
+        this.applyDisplay();
+        this.resize(...this.size);
+      },
+    };
+  }
+  filming = false;
 
   screenshot(): Promise<Blob> {
     if (this.quality < 1) this.setQuality(1);

@@ -90,6 +90,7 @@ export function viewCommands(editor: Editor, stage: StageEditor): Command[] {
     command("paths.pin", "Keep the paths of the selected joints", "View", "", "", () => ((tools.pinned = [...stage.joints]), (tools.paths = true)), some),
     command("paths.free", "Paths follow the selection", "View", "", "", () => (tools.pinned = []), () => tools.pinned.length > 0),
     command("ghosts", "Show ghosts", "View", "Shift+H", "Shift+H", () => (tools.ghosts = !tools.ghosts)),
+    command("playblast", "Playblast: a film of the view…", "View", "", "", () => (tools.playblast = true), () => present() && editor.timeline !== null),
     command("tool.next", "Next tool", "Pose", "", "", () => (tools.tool = TOOLS[(TOOLS.indexOf(tools.tool) + 1) % TOOLS.length])),
   ];
 }

@@ -1,6 +1,9 @@
 // The handles at the selected joint: drawn in three.js at one size on the screen, found by distance on the screen.
 
 import * as THREE from "three";
+import { LineMaterial } from "three/examples/jsm/lines/LineMaterial.js";
+import { LineSegments2 } from "three/examples/jsm/lines/LineSegments2.js";
+import { LineSegmentsGeometry } from "three/examples/jsm/lines/LineSegmentsGeometry.js";
 import type { Theme } from "../../view/palette";
 import type { Basis, Vec } from "./spaces";
 import type { Mode } from "./manipulate";
@@ -77,7 +80,8 @@ export class Gizmo {
   private readonly facing = new THREE.Group();
   private readonly pieces: Record<Mode, Piece[]> = { move: [], rotate: [], scale: [] };
   private readonly sector: THREE.Mesh<THREE.BufferGeometry, HandleMaterial>;
-  private readonly guide: THREE.LineSegments<THREE.BufferGeometry, THREE.LineBasicMaterial>;
+  private readonly guide: LineSegments2;
+  private guideEnds: number[] = [];
   private readonly place = new THREE.Vector3();
   private readonly basis = new THREE.Matrix4();
   private readonly camera: { current: THREE.Camera; width: number; height: number } = { current: new THREE.Camera(), width: 1, height: 1 };
@@ -90,8 +94,7 @@ export class Gizmo {
     this.sector = new THREE.Mesh(new THREE.BufferGeometry(), new HandleMaterial(false));
     this.sector.renderOrder = 2;
     this.sector.visible = false;
-    const line = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(new Float32Array(18), 3));
-    this.guide = new THREE.LineSegments(line, new THREE.LineBasicMaterial({ depthTest: false, transparent: true, opacity: 0.7, toneMapped: false }));
+    this.guide = new LineSegments2(new LineSegmentsGeometry(), new LineMaterial({ linewidth: 1.4, depthTest: false, transparent: true, opacity: 0.75, toneMapped: false }));
     this.guide.visible = false;
     for (const mesh of [this.sector, this.guide]) mesh.frustumCulled = false;
     this.group.add(this.sector);
@@ -190,16 +193,20 @@ export class Gizmo {
   showGuides(axes: readonly ("x" | "y" | "z")[]): void {
     this.guide.visible = axes.length > 0;
     if (axes.length === 0) return;
-    const points = this.guide.geometry.attributes.position as THREE.BufferAttribute;
-    const e = this.basis.elements, far = 40 * this.size;
-    axes.forEach((axis, n) => {
+    const e = this.basis.elements, far = 25 * this.size;
+    this.guideEnds = axes.flatMap((axis) => {
       const a = 4 * AXIS_HANDLES.indexOf(axis);
-      for (const [k, s] of [[0, -far], [1, far]])
-        points.setXYZ(2 * n + k, this.place.x + s * e[a], this.place.y + s * e[a + 1], this.place.z + s * e[a + 2]);
+      // in two halves from the gizmo, as one of its ends may lie behind the eye
+      return [-far, 0, 0, far].flatMap((s) => [this.place.x + s * e[a], this.place.y + s * e[a + 1], this.place.z + s * e[a + 2]]);
     });
-    points.needsUpdate = true;
-    this.guide.geometry.setDrawRange(0, 2 * axes.length);
+    this.guide.geometry.dispose();
+    this.guide.geometry = new LineSegmentsGeometry().setPositions(this.guideEnds);
     this.guide.material.color.copy(COLORS[this.theme][axes.length === 1 ? axes[0] : "plain"]);
+  }
+
+  /** Ends of the lines that are shown. */
+  guidePoints(): number[] {
+    return this.guide.visible ? this.guideEnds : [];
   }
 
   /** The angle that was swept about an axis of the stage, from a direction; null hides it. */

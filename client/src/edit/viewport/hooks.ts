@@ -27,7 +27,7 @@ export function installHooks(editor: Editor, stage: StageEditor): () => void {
         const at = stage.gizmo.pointOf(handle);
         if (at) handles[handle] = onPage(at);
       }
-      return { present: stage.gizmo.present, mode: stage.gizmo.mode, centre: onPage(stage.gizmo.centre()), handles, hovered: stage.gizmo.hovered, active: stage.gizmo.active };
+      return { present: stage.gizmo.present, mode: stage.gizmo.mode, centre: onPage(stage.gizmo.centre()), handles, hovered: stage.gizmo.hovered, active: stage.gizmo.active, guides: stage.gizmo.guidePoints() };
     },
     viewTools: (change: Record<string, unknown> = {}) => {
       Object.assign(tools, change);

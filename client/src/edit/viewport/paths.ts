@@ -180,13 +180,13 @@ export class MotionPaths {
   }
 
   /** Before each picture: measure for a while, and colour what changed. */
-  prepare(now: number): void {
+  prepare(now: number, budget = BUDGET_MS): void {
     const { actor } = this;
     if (!actor || this.paths.length === 0) return;
     this.group.position.copy(actor.root.position);
     this.group.scale.copy(actor.root.scale);
     this.group.visible = actor.visible;
-    const measured = this.measure(now);
+    const measured = this.measure(now, budget);
     if (measured || this.drawn !== now) {
       this.drawn = now;
       for (const path of this.paths) this.paint(path, now);
@@ -194,7 +194,7 @@ export class MotionPaths {
     if (this.staleCount > 0) requestAnimationFrame(() => this.view.invalidate());
   }
 
-  private measure(now: number): boolean {
+  private measure(now: number, budget: number): boolean {
     if (this.staleCount === 0) return false;
     const { actor, times, stale, paths } = this;
     const began = performance.now();
@@ -212,7 +212,7 @@ export class MotionPaths {
         path.positions[3 * next + 2] = this.world[o + 2];
       }
       stale[next] = 0;
-      if (--this.staleCount === 0 || performance.now() - began > BUDGET_MS) break;
+      if (--this.staleCount === 0 || performance.now() - began > budget) break;
     }
     return true;
   }

@@ -36,6 +36,8 @@ export class ViewTools {
   /** The next drag selects by a rectangle. */
   boxArmed = $state(false);
   hovered = $state(-1);
+  /** Whether the dialog for films is open. */
+  playblast = $state(false);
 
   constructor() {
     try {
