@@ -123,6 +123,8 @@ def scale_keys(
 def reverse_keys(curve: Curve, keys: Any = None) -> KeyedCurve:
     """Keys, or the whole curve, backwards in their own range of time: each span goes as before the other way.
 
+    The cubic in log space alone goes another way backwards; ``error`` says how far from the old one.
+
     Raises: ShapeError where an index is none of the curve's.
     """
     chosen = np.arange(curve.key_count) if keys is None else key_indices(curve, keys)
@@ -131,7 +133,13 @@ def reverse_keys(curve: Curve, keys: Any = None) -> KeyedCurve:
     ends = float(curve.times_s[chosen[0]] + curve.times_s[chosen[-1]])
     if len(chosen) == curve.key_count:
         curve = replace(curve, before=curve.after, after=curve.before)
-    return transform_keys(curve, chosen, scale_time=-1.0, shift_s=ends)
+    result = transform_keys(curve, chosen, scale_time=-1.0, shift_s=ends)
+    if curve.key_count < 2 or not np.any(np.asarray(curve.modes) == Interpolation.LOG_CUBIC):
+        return result
+    low, high = curve.times_s[chosen[0]], curve.times_s[chosen[-1]]
+    times = np.linspace(low, high, 16 * len(chosen) + 1)
+    off = quat.angle_between(sample_curve(result.curve, times), sample_curve(curve, ends - times))
+    return replace(result, error=float(np.max(off)))
 
 
 def transform_keys(
@@ -391,7 +399,8 @@ def _inserted(curve: Curve, new: Array) -> Curve:
     if len(hermite):
         slopes = _velocity(curve, new[hermite], span[hermite])
         fields["in_tangents"][new_at[hermite]] = fields["out_tangents"][new_at[hermite]] = slopes
-    _split_beziers(curve, new, span, np.nonzero(inner & (mode_of == Interpolation.BEZIER))[0], old_at, new_at, fields)
+    bezier = np.nonzero(inner & (mode_of == Interpolation.BEZIER))[0]
+    values = _split_beziers(curve, new, values, span, bezier, old_at, new_at, fields)
     if fields["tangent_types"] is not None:
         types = woven(np.asarray(curve.tangent_types), np.zeros((len(new), 2), np.uint8))
         held = np.unique(span[cubic])
@@ -432,47 +441,63 @@ def _velocity(curve: Curve, times: Array, span: Array) -> Array:
 
 
 def _split_beziers(
-    curve: Curve, new: Array, span: Array, chosen: Array, old_at: Array, new_at: Array, fields: dict[str, Any]
-) -> None:
-    """Handles of new keys in Bezier spans, and those beside them, cut by De Casteljau's construction."""
+    curve: Curve,
+    new: Array,
+    at_new: Array,
+    span: Array,
+    chosen: Array,
+    old_at: Array,
+    new_at: Array,
+    fields: dict[str, Any],
+) -> Array:
+    """Handles of new keys in Bezier spans, and those beside them, cut by De Casteljau's construction; the keys' values."""
     if len(chosen) == 0 or curve.out_handles is None or curve.in_handles is None:
-        return
+        return at_new
     out, back = fields["out_handles"], fields["in_handles"]
-    values = np.asarray(curve.values, np.float64)
-    for k in np.unique(span[chosen]):
-        mine = chosen[span[chosen] == k]
-        start, span_s = curve.times_s[k], curve.times_s[k + 1] - curve.times_s[k]
-        points = _control_points(values, curve, int(k), float(span_s))  # (4, C, 2)
-        u0 = np.zeros(points.shape[1])
-        first, last = points[1, :, 0] / span_s, points[2, :, 0] / span_s
-        at = int(old_at[k])
-        for n in mine:
-            u = spline.bezier_parameter(first, last, np.full_like(first, (new[n] - start) / span_s))
-            local = np.where(u0 < 1, (u - u0) / np.where(u0 < 1, 1 - u0, 1.0), 1.0)
-            left, points_right = spline.split_bezier(points[0], points[1], points[2], points[3], local)
-            here = int(new_at[n])
-            out[at] = left[1] - left[0]
-            back[here] = left[2] - left[3]
-            points = np.stack(points_right)
-            at, u0 = here, u
-        out[at] = points[1] - points[0]
-        back[int(old_at[k + 1])] = points[2] - points[3]
+    values, found = np.asarray(curve.values, np.float64), np.array(at_new)
+    spans, row = np.unique(span[chosen], return_inverse=True)
+    start, span_s = curve.times_s[spans], curve.times_s[spans + 1] - curve.times_s[spans]
+    points = _control_points(values, curve, spans, span_s)  # (4, S, C, 2)
+    first, last = points[1, ..., 0] / span_s[:, None], points[2, ..., 0] / span_s[:, None]
+    at, reached = old_at[spans], np.zeros(first.shape)
+    # Times rise within a span: in each round the next one of every span cuts what the last one left.
+    turn = np.arange(len(row)) - np.searchsorted(row, row, side="left")
+    for n in range(int(turn.max()) + 1):
+        mine = chosen[turn == n]
+        s = row[turn == n]
+        share = np.broadcast_to(((new[mine] - start[s]) / span_s[s])[:, None], first[s].shape)
+        # Where handles overlap most the curve stands upright in its middle, and time says little about u.
+        middle = np.abs((3 * first[s] + 3 * last[s] + 1) / 8 - share) < 1e-12
+        u = np.where(middle, 0.5, spline.bezier_parameter(first[s], last[s], share))
+        left_over = 1 - reached[s]
+        local = np.where(left_over > 0, (u - reached[s]) / np.where(left_over > 0, left_over, 1.0), 1.0)
+        cut = points[:, s]
+        left, right = spline.split_bezier(cut[0], cut[1], cut[2], cut[3], local)
+        here = new_at[mine]
+        out[at[s]] = left[1] - left[0]
+        back[here] = left[2] - left[3]
+        found[mine] = left[3][..., 1]
+        points[:, s], at[s], reached[s] = np.stack(right), here, u
+    out[at] = points[1] - points[0]
+    back[old_at[spans + 1]] = points[2] - points[3]
     np.maximum(out[..., 0], 0.0, out=out[..., 0])
     np.minimum(back[..., 0], 0.0, out=back[..., 0])
+    return found
 
 
-def _control_points(values: Array, curve: Curve, k: int, span_s: float) -> Array:
-    """Control points (4, C, 2) in seconds from the first key and value; handles no longer than the span."""
+def _control_points(values: Array, curve: Curve, k: Array, span_s: Array) -> Array:
+    """Control points (4, S, C, 2) of spans in seconds from the first key and value; handles no longer than the span."""
     if curve.out_handles is None or curve.in_handles is None:
         raise ShapeError("curve: Bezier spans without handles")
     out, back = (np.asarray(h, np.float64) for h in (curve.out_handles[k], curve.in_handles[k + 1]))
+    whole = np.broadcast_to(span_s[:, None], out.shape[:2])
 
     def short(handle: Array) -> Array:
-        length = np.abs(handle[:, :1])
-        return handle * np.where(length > span_s, span_s / np.where(length > span_s, length, 1.0), 1.0)
+        length = np.abs(handle[..., 0])
+        return handle * np.where(length > whole, whole / np.where(length > whole, length, 1.0), 1.0)[..., None]
 
-    start = np.stack([np.zeros(values.shape[1]), values[k]], axis=-1)
-    end = np.stack([np.full(values.shape[1], span_s), values[k + 1]], axis=-1)
+    start = np.stack([np.zeros(whole.shape), values[k]], axis=-1)
+    end = np.stack([whole, values[k + 1]], axis=-1)
     return np.stack([start, start + short(out), end + short(back), end])
 
 
