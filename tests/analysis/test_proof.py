@@ -108,3 +108,20 @@ def test_strict_conversion(tmp_path) -> None:
     assert exact.exit_code == 0 and "read back" in exact.output
     rough = run.invoke(app, ["convert", str(bvh), str(back), "--strict", "--limit-mm", "0"])
     assert rough.exit_code == 1
+
+
+def test_markers_are_found_in_whatever_set_they_are() -> None:
+    """A format of one set joins several; nothing is lost by that, and what is, is named."""
+    rng = np.random.default_rng(3)
+    places = rng.normal(size=(20, 5, 3))
+    places[3, 1] = np.nan
+    two = Scene(markers=(Markers(tuple("ab"), places[:, :2], 100.0), Markers(tuple("cde"), places[:, 2:], 100.0)))
+    moved = places.copy()
+    moved[7, 4, 0] += 0.002
+    error = scene_error(two, Scene(markers=(Markers(tuple("abcde"), moved, 100.0),)))
+    assert error.marker_mm == pytest.approx(2) and not error.missing
+    error = scene_error(two, Scene(markers=(Markers(tuple("abcd"), places[:, :4], 100.0),)))
+    assert error.marker_mm == 0 and error.missing == ("1 of 3 markers (e)",)
+    places[4, 2] = np.nan
+    error = scene_error(two, Scene(markers=(Markers(tuple("abcde"), places, 100.0),)))
+    assert error.missing == ("1 sightings of markers",)

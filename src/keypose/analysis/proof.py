@@ -80,9 +80,8 @@ def scene_error(original: Scene, copy: Scene) -> SceneError:
     motion = _worst_motion(original, copy, pairs, missing)
     vertex, part, morph, morph_name = _surfaces(original, copy, pairs, missing)
     marker_mm = None
-    _missing(missing, "marker set", [m.name for m in original.markers], [m.name for m in copy.markers])
-    for a, b in zip(original.markers, copy.markers, strict=False):
-        marker_mm = max(marker_mm or 0.0, _marker_distance(a, b, missing))
+    for number, markers in enumerate(original.markers):
+        marker_mm = max(marker_mm or 0.0, _marker_distance(markers, copy.markers, number, missing))
     for kind in ("signals", "plates"):
         lost = len(getattr(original, kind)) - len(getattr(copy, kind))
         if lost > 0:
@@ -238,21 +237,30 @@ def _vertex_distance(points: Floats, copied: Floats) -> float:
     return 1000 * float(np.max(KDTree(copied).query(chosen)[0]))
 
 
-def _marker_distance(a: Markers, b: Markers, missing: list[str]) -> float:
-    lost = [name for name in a.names if name not in b.names]
+def _marker_distance(a: Markers, sets: Sequence[Markers], number: int, missing: list[str]) -> float:
+    """The largest distance in mm of a set's markers from those of their names, in its own set of the copy or any other."""
+    nearest = [*sets[number : number + 1], *sets[:number], *sets[number + 1 :]]
+    found = {name: next((s for s in nearest if name in s.names), None) for name in dict.fromkeys(a.names)}
+    lost = [name for name, place in found.items() if place is None]
     if lost:
         missing.append(f"{len(lost)} of {len(a.names)} markers ({', '.join(lost[:3])})")
+    worst = 0.0
+    for b in nearest:
+        names = [name for name, place in found.items() if place is b]
+        if names:
+            worst = max(worst, _set_distance(a, b, names, missing))
+    return worst
+
+
+def _set_distance(a: Markers, b: Markers, names: Sequence[str], missing: list[str]) -> float:
     frames = min(a.frame_count, b.frame_count)
     if a.frame_count > b.frame_count:
         missing.append(f"{a.frame_count - b.frame_count} of {a.frame_count} frames of markers")
-    index = [(a.names.index(name), b.names.index(name)) for name in dict.fromkeys(a.names) if name in b.names]
-    if not index or not frames:
+    if not frames:
         return 0.0
-    first, second = np.array(index).T
-    apart = np.linalg.norm(
-        np.asarray(a.positions, np.float64)[:frames, first] - np.asarray(b.positions, np.float64)[:frames, second],
-        axis=-1,
-    )
+    first, second = [a.names.index(name) for name in names], [b.names.index(name) for name in names]
+    places = (np.asarray(m.positions, np.float64)[:frames, index] for m, index in ((a, first), (b, second)))
+    apart = np.linalg.norm(np.subtract(*places), axis=-1)
     gone = int(np.sum(np.asarray(a.visible)[:frames, first] & ~np.asarray(b.visible)[:frames, second]))
     if gone:
         missing.append(f"{gone} sightings of markers")
