@@ -49,3 +49,12 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
     assert "sample" in refused(keypose("retarget", "sample:nobody", "--to", "sample:human", out))
     assert not out.exists()
     assert keypose("retarget", "sample:walk", out).returncode == 2
+
+
+def test_the_quality_of_a_take_is_printed_and_compared() -> None:
+    shown = keypose("check", "sample:walk", "--quality")
+    assert shown.returncode == 0 and "feet in contact slide" in shown.stdout and "as a loop" in shown.stdout
+    listed = keypose("check", "sample:walk", "--against", "sample:walk", "--json")
+    found = json.loads(listed.stdout)["quality"][0]
+    assert found["difference"]["worst_cm"] == 0.0 and found["skate_cm_s"] >= 0
+    assert "no motion" in refused(keypose("check", "sample:human", "--quality"))

@@ -154,20 +154,33 @@ def info(
         "keypose check walk.bvh",
         "keypose check character.glb --json | jq .findings",
         "keypose check take.bvh --strict [dim]# exit code 1 where anything is wrong[/dim]",
+        "keypose check take.bvh --quality --json [dim]# skating feet, pops, loops in figures[/dim]",
     )
 )
 def check(
     file: OneInput,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Fail where there is a warning.")] = False,
+    quality: Annotated[
+        bool, typer.Option("--quality", help="Measure the motions: sliding feet, pops, overlaps, loops.")
+    ] = False,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="FILE", help="With --quality: compare with another take.")
+    ] = None,
+    clip: ClipOption = None,
     unit: UnitOption = None,
     up: UpOption = None,
     skeleton: SkeletonFile = None,
     option: FormatOptions = None,
 ) -> None:
     """Say how a file was understood (unit, axes, facing, rest pose, size, rates), and what is wrong with it."""
-    from keypose.cli.check import print_check
+    from keypose.cli.check import print_check, print_quality
 
+    if quality or against is not None:
+        print_quality(
+            file, as_json=json, against=against, clip=clip, unit=unit, up=up, skeleton=skeleton, options=option or ()
+        )
+        return
     if not print_check(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ()) and strict:
         raise typer.Exit(1)
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from keypose.cli.console import console
 from keypose.cli.inputs import open_input
+from keypose.errors import FormatError
+from keypose.model import Motion, Scene, Skeleton
 
 _SIGNS = {
     "warning": "[red]warning[/red]",
@@ -59,6 +61,65 @@ def print_check(
     count = len(found.warnings)
     out.print("  [green]nothing wrong[/green]" if not count else f"  [red]{count} warning{'s' * (count != 1)}[/red]")
     return not count
+
+
+def print_quality(
+    reference: str,
+    *,
+    as_json: bool,
+    against: str | None,
+    clip: str | None,
+    unit: str | None,
+    up: str | None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+) -> None:
+    """Print the figures of a file's motions, or of one beside another take.
+
+    Raises:
+        FormatError: where a file has no motion of a skeleton.
+    """
+    from keypose.analysis import compare_takes, measure_quality
+
+    scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
+    body, motions = _motions(scene, reference, clip)
+    other = None if against is None else _motions(open_input(against, unit=unit, up=up), against, clip)[1][0]
+    rows: list[dict[str, Any]] = []
+    out = console()
+    for motion in motions:
+        quality = measure_quality(motion, body, scene.character.roles or None)
+        difference = None if other is None else compare_takes(motion, other, body)
+        if as_json:
+            row = {"name": motion.name, **asdict(quality)}
+            rows.append(row if difference is None else {**row, "difference": asdict(difference)})
+            continue
+        from rich.markup import escape
+
+        out.print(
+            f"[bold]{escape(motion.name or reference)}[/bold]  [dim]{quality.frames} frames, {quality.rate_hz:g} Hz[/dim]"
+        )
+        for line in (*quality.lines(), *(difference.lines() if difference is not None else ())):
+            out.print(f"  {escape(line)}")
+    if as_json:
+        print(json.dumps({"file": reference, "quality": rows}, indent=1, ensure_ascii=False))
+
+
+def _motions(scene: Scene, reference: str, clip: str | None) -> tuple[Skeleton, list[Motion]]:
+    """The skeleton and its animations as motions; only the named one if a name is given."""
+    from keypose.evaluate import bake, key_rate
+
+    if not scene.characters or not scene.animations:
+        raise FormatError("it has no motion of a skeleton", path=reference)
+    body = scene.character.skeleton
+    chosen = scene.animations if clip is None else (scene.animation(clip),)
+    motions = [
+        a if isinstance(a, Motion) else bake(a, body, a.rate_hz or key_rate(a) or 30.0)
+        for a in chosen
+        if a.duration_s > 0
+    ]
+    if not motions:
+        raise FormatError("its motions have one frame only", path=reference)
+    return body, motions
 
 
 def _command(fix: str, reference: str) -> str:
