@@ -86,9 +86,10 @@ def de_casteljau(points: Array, u: Array) -> Array:
 
     Source: lecture notes, Bezier curves (De Casteljau's construction).
     """
-    xp, points, u = take(points=(points, ()), u=(u, ()))
+    xp, points, u = convert(points=points, u=u)
     if points.ndim < 2 or points.shape[-2] == 0:
         raise ShapeError(f"points: expected (*B, N, C) with N of 1 or more, got {tuple(points.shape)}")
+    check_broadcast({"points": tuple(points.shape[:-2]), "u": tuple(u.shape)})
     u = matched(xp, u, points)[..., None, None]
     points = points + 0.0 * u
     while points.shape[-2] > 1:
