@@ -137,17 +137,17 @@ def random_pose(rng: np.random.Generator, name: str) -> StoredPose:
     return StoredPose(name, ("Mid", "Tip"), pose, {"wide": float(rng.random())})
 
 
-def random_commands(rng: np.random.Generator, document: Document) -> list[c.Command]:
-    """One to three commands that can be applied to a document, one after the other."""
+def random_commands(rng: np.random.Generator, document: Document, *, page: bool = False) -> list[c.Command]:
+    """One to three commands that can be applied to a document, one after the other; with ``page``, such as pages send."""
     made: list[c.Command] = []
     for _ in range(rng.integers(1, 4)):
-        command = _random_command(rng, document)
+        command = _random_command(rng, document, page)
         document = command.apply(document)
         made.append(command)
     return made
 
 
-def _random_command(rng: np.random.Generator, document: Document) -> c.Command:
+def _random_command(rng: np.random.Generator, document: Document, page: bool) -> c.Command:
     def one_of(mapping: Any) -> str:
         return str(rng.choice(list(mapping)))
 
@@ -163,7 +163,7 @@ def _random_command(rng: np.random.Generator, document: Document) -> c.Command:
         lambda: c.SetSettings({"zoom": None, "text": "x" * int(rng.integers(0, 9))}),
         lambda: c.Rename("project", document.name, f"project {rng.integers(100)}"),
     ]
-    if len(document.characters) < 3:
+    if len(document.characters) < 3 and not page:
         choices.append(lambda: c.AddCharacter(small_character()))
     if clips:
         choices += [
@@ -180,10 +180,11 @@ def _random_command(rng: np.random.Generator, document: Document) -> c.Command:
         choices.append(lambda: c.RemovePose(one_of(poses)))
     if document.characters:
         choices += [
-            lambda: c.RemoveCharacter(one_of(document.characters)),
             lambda: c.Rename("character", one_of(document.characters), f"renamed {rng.integers(1 << 30)}"),
             lambda: c.SetPerformance(one_of(document.characters), one_of(timelines) if timelines else ""),
         ]
+        if not page:
+            choices.append(lambda: c.RemoveCharacter(one_of(document.characters)))
     return choices[rng.integers(len(choices))]()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from keypose.io import native_values as values
 from keypose.io.json_values import Json
-from keypose.model import Channel, Clip, Curve
+from keypose.model import Channel, Clip, Curve, Document
 from keypose.studio import StudioServer
 from keypose.studio.container import Body, array, pack, unpack
 
@@ -31,6 +31,7 @@ class EditPage:
         self.characters: list[dict[str, Any]] = []
         self.settings: dict[str, Any] = {}
         self.state: dict[str, Any] = {}
+        self.hello: dict[str, Any] = {}
 
     def say(self, type: str, **fields: Any) -> None:
         self.socket.send(json.dumps({"type": type, **fields}))
@@ -78,10 +79,31 @@ class EditPage:
         }
         return self.edit(command, body=body, **fields)
 
+    def matches(self, document: Document) -> bool:
+        """Whether what the page was told amounts to this document, bit for bit; says where it does not."""
+        assert self.status["name"] == document.name
+        assert self.clips.keys() == document.clips.keys()
+        for name, clip in document.clips.items():
+            mine = self.clips[name]
+            assert (mine.rate_hz, dict(mine.euler_orders)) == (clip.rate_hz, dict(clip.euler_orders)), name
+            assert mine.curves.keys() == clip.curves.keys(), name
+            for channel, curve in clip.curves.items():
+                assert plain(channel, mine.curves[channel]) == plain(channel, curve), (name, channel)
+        assert self.poses == {name: values.pose_json(pose) for name, pose in document.poses.items()}
+        assert self.settings == dict(document.settings)
+        assert {who["name"]: who["timeline"] for who in self.characters} == {
+            name: document.performs.get(name, "") for name in document.characters
+        }
+        assert self.timelines.keys() == document.timelines.keys()
+        for name, track in document.timelines.items():
+            mine = values.read_timeline(Json(self.timelines[name], name), lambda item: item.value)
+            assert values.timeline_json(mine, numbers) == values.timeline_json(track, numbers), name
+        return True
+
     def _state(self, message: dict[str, Any], fetch: values.Fetch) -> None:
         self.state, self.status = message, message["status"]
         self.clips = {c["name"]: values.read_clip(Json(c, "clip"), fetch) for c in message["clips"]}
-        self.timelines = {t["name"]: t for t in message["timelines"]}
+        self.timelines = {t["name"]: arrays_in(t, fetch) for t in message["timelines"]}
         self.poses = {p["name"]: p for p in message["poses"]}
         self.characters, self.settings = message["characters"], message["settings"]
 
@@ -96,7 +118,7 @@ class EditPage:
             self.clips[change["name"]] = Clip(curves, change["name"], change["rate_hz"], change["euler_orders"])
         for name in message["removed_clips"]:
             del self.clips[name]
-        self.timelines |= {t["name"]: t for t in message["timelines"]}
+        self.timelines |= {t["name"]: arrays_in(t, fetch) for t in message["timelines"]}
         for name in message["removed_timelines"]:
             del self.timelines[name]
         self.poses |= {p["name"]: p for p in message["poses"]}
@@ -106,6 +128,26 @@ class EditPage:
             self.characters = message["characters"]
         if message["settings"] is not None:
             self.settings = message["settings"]
+
+
+def arrays_in(value: Any, fetch: values.Fetch) -> Any:
+    """JSON with the arrays that it refers to."""
+    if isinstance(value, dict):
+        if value.keys() == {"offset", "bytes", "element", "shape"}:
+            return fetch(Json(value, ""))
+        return {name: arrays_in(each, fetch) for name, each in value.items()}
+    return [arrays_in(each, fetch) for each in value] if isinstance(value, list) else value
+
+
+def numbers(array: Any) -> Any:
+    """An array as plain numbers; those of a project come in double precision."""
+    numbers = np.asarray(array, np.uint8 if array.dtype == np.uint8 else np.float64)
+    return numbers.shape, numbers.tobytes()
+
+
+def plain(channel: Channel, curve: Curve) -> dict[str, Any]:
+    """All that a curve holds, to be compared."""
+    return values.curve_json(channel, curve, numbers)
 
 
 def storing(body: Body) -> values.Store:

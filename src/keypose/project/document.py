@@ -22,6 +22,8 @@ from keypose.model import (
     Timeline,
 )
 
+LARGEST_SETTINGS = 1 << 20
+
 
 def add_character(document: Document, character: Character) -> Document:
     """The document with a character, a timeline that moves it, and an empty clip for its keys.
@@ -65,7 +67,7 @@ def check(document: Document) -> None:
 
     Raises:
         UnknownName: where a placement names no clip, or a performance no character or timeline; names the nearest.
-        ShapeError: where a setting is not finite.
+        ShapeError: where a setting is not finite, or they are too large.
     """
     for timeline in document.timelines.values():
         for layer in timeline.layers:
@@ -74,6 +76,9 @@ def check(document: Document) -> None:
     for character, timeline in document.performs.items():
         document.character(character)
         document.timeline(timeline)
+    size = sum(len(name) + (len(value) if isinstance(value, str) else 8) for name, value in document.settings.items())
+    if size > LARGEST_SETTINGS:
+        raise ShapeError(f"settings: {size} characters; at most {LARGEST_SETTINGS}")
     for name, value in document.settings.items():
         if isinstance(value, float) and not math.isfinite(value):
             raise ShapeError(f"setting '{name}': expected a finite number, got {value}")

@@ -440,6 +440,10 @@ def project_path(path: str) -> Path:
     Raises:
         NotSaved: where it has another suffix, no name, or lies in no folder.
     """
+    try:
+        os.fsencode(path)
+    except ValueError:
+        raise NotSaved("failed", "", "the name holds what no file name can") from None
     if not path.strip() or "\0" in path:
         raise NotSaved("failed", path, "expected the name of a file")
     target = Path(os.path.expanduser(path)).absolute()

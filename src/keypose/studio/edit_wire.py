@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from keypose.arrays import Array
-from keypose.errors import KeyposeError
+from keypose.errors import FormatError, KeyposeError
 from keypose.io import native_values as values
 from keypose.io.json_values import Json
 from keypose.model import Channel, Clip, Document
@@ -137,6 +138,10 @@ def read_operation(data: bytes) -> Operation:
 
 def _opened(data: bytes, kind: str) -> tuple[Json, values.Fetch]:
     fields, body = unpack(data)
+    try:
+        json.dumps(fields, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise FormatError("a text holds half of a character (a lone surrogate)", where="byte 8") from None
     header = Json(fields, "")
     if header.text("type") != kind:
         header.fail(f"expected a container of type '{kind}'")
@@ -186,7 +191,8 @@ def _parameter(value: Json) -> str | float | bool | list[float]:
 
 
 def complaint(error: Exception) -> str:
-    """What is told of an error."""
-    if isinstance(error, KeyposeError):
-        return str(error)
-    return "too large" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
+    """What is told of an error, in whole characters."""
+    if isinstance(error, MemoryError):
+        return "too large"
+    text = str(error) if isinstance(error, KeyposeError) else f"{type(error).__name__}: {error}"
+    return text.encode("utf-8", "replace").decode()

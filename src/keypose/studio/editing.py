@@ -72,7 +72,7 @@ class Editing:
         async with self._turn:
             try:
                 await self._handle(outbox, request)
-            except (KeyposeError, OSError, MemoryError) as error:
+            except _REFUSALS as error:
                 outbox.put(
                     messages.Failure("failure", _TITLES.get(type(request), "This cannot be done"), complaint(error))
                 )
@@ -320,7 +320,8 @@ class Editing:
         return self._shown[key][1]
 
 
-_REFUSALS = (KeyposeError, OSError, MemoryError)
+_REFUSALS = (KeyposeError, OSError, MemoryError, ValueError)
+"""What is told to a page; a ValueError is, for example, a path that the system cannot spell."""
 
 
 def _exported(document: Document, kind: str, character: str | None, timeline: str | None) -> bytes:
