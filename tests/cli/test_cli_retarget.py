@@ -57,4 +57,4 @@ def test_the_quality_of_a_take_is_printed_and_compared() -> None:
     listed = keypose("check", "sample:walk", "--against", "sample:walk", "--json")
     found = json.loads(listed.stdout)["quality"][0]
     assert found["difference"]["worst_cm"] == 0.0 and found["skate_cm_s"] >= 0
-    assert "no motion" in refused(keypose("check", "sample:human", "--quality"))
+    assert "no motion" in refused(keypose("check", "sample:ball", "--quality"))

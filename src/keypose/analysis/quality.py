@@ -185,15 +185,15 @@ def _jerks(places: Floats, rate_hz: float, names: tuple[str, ...]) -> tuple[floa
         return 0.0, ()
     third = np.linalg.norm(np.diff(places, n=3, axis=0), axis=-1)  # (T - 3, J) metres a frame cubed
     rms = float(np.sqrt(np.mean(third**2))) * rate_hz**3
-    usual = np.median(third, axis=0) + 1e-5
+    # A motion made by hand is smooth to nothing: what cannot be seen (half a millimetre) is no measure.
+    usual = np.maximum(np.median(third, axis=0), 5e-4)
     ratio = third / usual
     pops: list[tuple[int, str, float]] = []
     for at in np.argsort(ratio.max(axis=1))[::-1]:
         joint = int(np.argmax(ratio[at]))
-        # Only what can be seen: a step of 2 mm in one frame at least.
         if ratio[at, joint] < _POP or len(pops) == 8:
             break
-        if third[at, joint] > 0.002 and all(abs(at + 2 - frame) > 4 for frame, _, _ in pops):
+        if all(abs(at + 2 - frame) > 4 for frame, _, _ in pops):
             pops.append((int(at) + 2, names[joint], float(ratio[at, joint])))
     return rms, tuple(pops)
 
