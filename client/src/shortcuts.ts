@@ -76,7 +76,9 @@ function spelling(event: KeyboardEvent): string[] {
 
 /** A button that was clicked with the mouse gives the keyboard back, so that the space bar plays. */
 export function releaseFocus(event: MouseEvent): void {
-  if (event.detail > 0 && document.activeElement instanceof HTMLButtonElement) document.activeElement.blur();
+  const focused = document.activeElement;
+  // what the click has opened keeps the focus that it took
+  if (event.detail > 0 && focused instanceof HTMLButtonElement && focused.contains(event.target as Node)) focused.blur();
 }
 
 /** Whether a key goes into a field, or moves the slider or presses the button that has the focus. */

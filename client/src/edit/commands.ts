@@ -37,6 +37,14 @@ export function allCommands(): Command[] {
   return [...table.values()];
 }
 
+const GROUPS = ["Project", "Edit", "Keys", "Time", "Pose", "Select", "Layers", "View", "Curves", "Window"];
+
+/** All commands, group by group. */
+export function sortedCommands(): Command[] {
+  const place = (c: Command) => (GROUPS.includes(c.group) ? GROUPS.indexOf(c.group) : GROUPS.length);
+  return allCommands().sort((a, b) => place(a) - place(b));
+}
+
 export function onCommands(listener: () => void): () => void {
   listeners.add(listener);
   return () => listeners.delete(listener);

@@ -157,7 +157,7 @@ export function setRange(start: number, end: number): void {
 }
 
 export function addMarker(name: string, time: number): void {
-  changeTimeline(`Marker ${name}`, (t) => ({
+  changeTimeline(`Add marker ${name}`, (t) => ({
     ...t,
     markers: [...t.markers.filter((m) => Math.abs(m.time - time) > 1e-6), { time, name }].sort((a, b) => a.time - b.time),
   }));

@@ -22,6 +22,7 @@ import type { Changes, ChannelId, EditDocument } from "./contract";
 import { EMPTY } from "./document";
 import { editor } from "./editor.svelte";
 import type { Link, Scope, Values } from "./link";
+import { operators } from "./operators.svelte";
 import { commandsOf, readChanged, readState } from "./wire";
 
 export type Dialog = "new" | "open" | "save" | "recover" | "export" | "character";
@@ -207,7 +208,8 @@ export class Project implements Link {
       end_s: null,
       parameters: { ...parameters },
     });
-    if (report) studio.toast("info", name, report);
+    const label = operators.known.find((o) => o.name === name)?.label ?? name;
+    if (report) studio.toast("info", label, report);
   }
 
   async undo(): Promise<void> {
