@@ -62,6 +62,18 @@ class Record:
         values = np.frombuffer(self.data, _CODES[reference["kind"]], reference["count"], reference["at"])
         return values.reshape(-1, width) if width else values
 
+    def floats(self, found: Any, width: int = 0) -> NDArray[np.float64]:
+        """The array of a reference in double precision."""
+        with np.errstate(invalid="ignore"):  # numbers that are none, which `sane` tells
+            return self.array(found, width).astype(np.float64)
+
+    def integers(self, found: Any, where: str) -> NDArray[np.int64]:
+        """The array of a reference, if it has integers; raises `FormatError`."""
+        values = self.array(found)
+        if values.dtype.kind == "f":
+            raise FormatError("expected integers, got fractions", where=where)
+        return values.astype(np.int64)
+
 
 def sane(values: Any) -> bool:
     """Whether all numbers are finite and of a size that can be reckoned with."""

@@ -116,7 +116,7 @@ class _Reader:
         if found.get("wrong"):
             self._notes.add(f"{where}: the samples of its {name} are of different sizes and were dropped")
             return None
-        values = np.asarray(self._record.array(found["values"]), np.float64)
+        values = self._record.floats(found["values"])
         rows, width = int(found["rows"]), _WIDTHS[name]
         if values.size != rows * count * width:
             each = values.size // max(rows * width, 1)
@@ -125,7 +125,7 @@ class _Reader:
         if not sane(values):
             raise FormatError(f"its {name} hold impossible numbers", where=where)
         values = values.reshape(rows, count, width)
-        codes = np.asarray(self._record.array(found["times"]), np.float64)
+        codes = self._record.floats(found["times"])
         times = codes / self._rate
         if not sane(codes) or np.any(np.diff(times) <= 0):
             raise FormatError(f"the times of its {name} do not rise", where=where)
@@ -161,7 +161,7 @@ class _Reader:
             if item["times"] is None:
                 continue
             where = f"prim '{item['path']}'"
-            codes = np.asarray(self._record.array(item["times"]), np.float64)
+            codes = self._record.floats(item["times"])
             local = hierarchy.matrices(self._record, item["transform"], where)
             if len(codes) != len(local) or not sane(codes) or np.any(np.diff(codes) <= 0):
                 raise FormatError("the times of its transforms do not rise", where=where)

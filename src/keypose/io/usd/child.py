@@ -27,11 +27,15 @@ def start():
 
 def reason(error):
     """The library's first complaint, and the line that it names."""
+    if isinstance(error, UnicodeDecodeError):
+        return {"error": "a text is no UTF-8", "where": ""}
     if not isinstance(error, Tf.ErrorException):
         return None
-    texts = [str(e.commentary) if hasattr(e, "commentary") else str(e) for e in error.args] or [str(error)]
-    text = " ".join(texts[0].split())
-    return {"error": text or "its structure is damaged", "where": "", "kind": "library"}
+    try:
+        text = " ".join(str(error).split())
+    except UnicodeDecodeError as broken:  # it quotes the file
+        text = " ".join(broken.object.decode("utf-8", "replace").split())
+    return {"error": text or "its structure is damaged", "where": ""}
 
 
 def understood(record, path):
@@ -85,8 +89,10 @@ def admitted_layers(record, path, notes):
         layers.append(layer)
         if len(layers) > MOST_LAYERS:
             record.refuse("", f"it is made of more than {MOST_LAYERS} files")
-        for asset in layer.GetCompositionAssetDependencies():
+        for asset in filter(None, layer.GetCompositionAssetDependencies()):  # nothing is the layer itself
             found = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
+            if "[" not in found:  # what is not there comes back as it was asked for
+                found = os.path.join(os.path.dirname(layer.realPath), found)
             if not is_inside(asset, found, path, folder):
                 notes.append(f"'{asset[:200]}' leads out of the file's folder or is no USD file; it was not read")
                 layer.SetPermissionToEdit(True)
@@ -461,6 +467,7 @@ def shapes(record, prim):
                             "normals": put(record, still(between.GetNormalOffsetsAttr()), 3),
                         }
                         for between in shape.GetInbetweens()
+                        if between.GetWeight() is not None
                     ),
                 ],
             }

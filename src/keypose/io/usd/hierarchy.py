@@ -69,10 +69,19 @@ class _Node:
 
 def matrices(record: Record, reference: Any, where: str) -> Floats:
     """Matrices (N, 4, 4) that multiply columns, in the file's unit."""
-    rows = np.asarray(record.array(reference, 16), np.float64)
+    rows = record.floats(reference, 16)
     if not sane(rows):
         raise FormatError("a transform holds impossible numbers", where=where)
     return rows.reshape(-1, 4, 4).swapaxes(-1, -2)
+
+
+def inverted(matrix: Floats) -> Floats | None:
+    """The inverse of a matrix, if it has one."""
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return None
+    return inverse if sane(inverse) else None
 
 
 def trs(found: Floats, where: str, notes: Notes) -> tuple[Floats, Floats, Floats]:

@@ -15,6 +15,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.guarded import Record, sane
 from keypose.io.notes import Notes, UniqueNames
+from keypose.io.usd.hierarchy import inverted
 from keypose.model import MorphSet
 
 
@@ -138,19 +139,19 @@ def morph_set(
     if not channels:
         return None
     count = len(record.array(mesh["positions"], 3))
-    determinant = np.linalg.det(linear)
-    turn = np.linalg.inv(linear).T * np.cbrt(abs(determinant)) if determinant else np.eye(3)
+    inverse = inverted(linear)
+    turn = np.eye(3) if inverse is None else inverse.T * np.cbrt(abs(np.linalg.det(linear)))
     starts, morphs = [0], list[int]()
     vertices, positions, normals = list[Ints](), list[Floats](), list[Floats]()
     for shape, channel in zip(mesh["shapes"], channels, strict=True):
         title = f"{where}: blend shape '{shape['name']}'"
-        rows = None if shape["points"] is None else record.array(shape["points"]).astype(np.int64)
+        rows = None if shape["points"] is None else record.integers(shape["points"], title)
         for key, morph in zip(shape["keys"], channel.morphs, strict=True):
             both = np.zeros((count, 6))
             for column, name, matrix in ((0, "offsets", linear), (3, "normals", turn)):
                 if key[name] is None:
                     continue
-                offsets = np.asarray(record.array(key[name], 3), np.float64)
+                offsets = record.floats(key[name], 3)
                 points = np.arange(count) if rows is None else rows
                 if len(points) != len(offsets) or not sane(offsets):
                     raise FormatError(f"{len(offsets)} {name} for {len(points)} points", where=title)

@@ -12,7 +12,7 @@ from keypose.io.guarded import Limits, Record
 
 CHILD = Path(__file__).with_name("child.py")
 # The library itself takes nearly 1 GiB of addresses, most of them never used.
-_LIMITS = Limits(base_memory=1600 << 20, memory_per_byte=48, output_per_byte=48)
+LIMITS = Limits(base_memory=1600 << 20, memory_per_byte=48, output_per_byte=48, base_cpu_s=5.0)
 # One thread and one heap: more would each reserve addresses; nothing is looked for outside the file's own folder.
 _ENVIRONMENT = {
     "PXR_WORK_THREAD_LIMIT": "1",
@@ -29,7 +29,7 @@ def records(paths: Sequence[Path]) -> Iterator[Record | FormatError]:
         MissingExtra: where usd-core is not installed.
     """
     need_usd("reading USD")
-    return guarded.records(paths, CHILD, _LIMITS, _ENVIRONMENT)
+    return guarded.records(paths, CHILD, LIMITS, _ENVIRONMENT)
 
 
 def need_usd(feature: str) -> None:

@@ -229,10 +229,10 @@ def _placed(mesh: Mesh, geometry: Floats) -> Mesh:
     if np.array_equal(geometry, np.eye(4)):
         return mesh
     positions = moved(geometry, mesh.positions).astype(np.float32)
-    determinant = np.linalg.det(geometry[:3, :3])
-    triangles = mesh.triangles[:, ::-1] if determinant < 0 else mesh.triangles
+    inverse = hierarchy.inverted(geometry[:3, :3])
+    triangles = mesh.triangles[:, ::-1] if np.linalg.det(geometry[:3, :3]) < 0 else mesh.triangles
     normals = mesh.normals
-    if normals is not None and determinant != 0:
-        turned = np.asarray(normals, np.float64) @ np.linalg.inv(geometry[:3, :3])
+    if normals is not None and inverse is not None:
+        turned = np.asarray(normals, np.float64) @ inverse
         normals = (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-300)).astype(np.float32)
     return Mesh(positions, triangles, normals, mesh.uvs, mesh.colors, mesh.attributes)

@@ -15,7 +15,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.guarded import Record, sane
 from keypose.io.notes import Notes
-from keypose.io.usd.hierarchy import Hierarchy
+from keypose.io.usd.hierarchy import Hierarchy, inverted
 from keypose.math import rigid
 from keypose.model import Skin, SkinningMethod
 
@@ -100,8 +100,8 @@ def bind(
 def _influences(record: Record, found: Mapping[str, Any], count: int, where: str) -> tuple[Ints, Floats]:
     """Joints and weights (points, K) as the file has them."""
     width = max(int(found["width"]), 0)
-    joints = np.zeros(0, np.int64) if found["joints"] is None else record.array(found["joints"]).astype(np.int64)
-    weights = np.zeros(0) if found["weights"] is None else record.array(found["weights"]).astype(np.float64)
+    joints = np.zeros(0, np.int64) if found["joints"] is None else record.integers(found["joints"], where)
+    weights = np.zeros(0) if found["weights"] is None else record.floats(found["weights"])
     rows = 1 if found["constant"] else count
     if not width or len(joints) != len(weights) or len(joints) != rows * width:
         raise FormatError(f"{len(joints)} joints and {len(weights)} weights for {rows} points", where=where)
@@ -132,8 +132,9 @@ def _summing_to_one(weights: Floats, where: str, notes: Notes) -> Floats:
 
 
 def _inverse(bind: Floats, name: str, where: str, notes: Notes) -> Floats:
-    if abs(np.linalg.det(bind[:3, :3])) > 1e-24:
-        return np.linalg.inv(bind)
+    found = inverted(bind)
+    if found is not None:
+        return found
     notes.add(f"{where}: the bind transform of '{name}' has no volume; it was taken as none")
     return np.eye(4)
 

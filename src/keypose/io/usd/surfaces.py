@@ -58,16 +58,12 @@ class _Reader:
     def _array(self, name: str, width: int = 1) -> Any:
         reference = self._item[name]
         if reference is None:
-            return np.zeros((0, width) if width > 1 else 0)
-        values = np.asarray(self._record.array(reference, width if width > 1 else 0))
-        return values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+            return np.zeros((0, width)) if width > 1 else np.zeros(0, np.int64)
+        return self._record.floats(reference, width) if width > 1 else self._record.integers(reference, self._where)
 
     def _polygons(self) -> tuple[Ints, Ints]:
         """The point of each corner, and the first corner and number of corners of each face."""
         counts, corners = self._array("counts"), self._array("corners")
-        if (counts.dtype.kind == "f" and len(counts)) or (corners.dtype.kind == "f" and len(corners)):
-            raise FormatError("its faces are no integers", where=self._where)
-        counts, corners = counts.astype(np.int64), corners.astype(np.int64)
         if (len(counts) and counts.min() < 0) or int(counts.sum()) != len(corners):
             raise FormatError(
                 f"its faces have {int(counts.sum())} corners, {len(corners)} are there", where=self._where
@@ -80,7 +76,7 @@ class _Reader:
     def surfaces(self) -> list[Surface]:
         """One for each material."""
         triangles, face_of = triangulate(self._positions, self._corners, self._faces, self._where)
-        kept = ~np.isin(face_of, self._array("holes").astype(np.int64))
+        kept = ~np.isin(face_of, self._array("holes"))
         triangles, face_of = triangles[kept], face_of[kept]
         if not len(triangles):
             self._notes.add(f"{self._where}: it has no faces and was left out")
@@ -95,7 +91,7 @@ class _Reader:
                 columns.append(_Column("normals", False, points.astype(np.float32)))
         subset_of = np.full(len(self._faces), -1)
         for number, subset in enumerate(self._item["subsets"]):
-            faces = self._record.array(subset["faces"]).astype(np.int64)
+            faces = self._record.integers(subset["faces"], self._where)
             faces = faces[(faces >= 0) & (faces < len(subset_of))]
             subset_of[faces] = number
         found: list[Surface] = []
@@ -121,7 +117,7 @@ class _Reader:
             values = self._record.array(item["values"], width)
             if values.dtype.kind != "f" or width > _WIDEST:
                 continue
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):
                 values = values.astype(np.float32)
             if not np.all(np.isfinite(values)):
                 self._notes.add(f"{self._where}: its {name} hold numbers that are not finite and were dropped")
