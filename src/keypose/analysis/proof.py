@@ -10,7 +10,7 @@ import numpy as np
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 from keypose.arrays import Floats
 from keypose.deform import deform_part
-from keypose.evaluate import sample_clip, sample_morphs, sample_motion, world
+from keypose.evaluate import sample, sample_clip, sample_morphs, sample_motion, world
 from keypose.model import Character, Clip, Markers, Motion, Pose, Scene, Skeleton
 
 _MOMENTS = 5  # at which vertices and morph weights are compared
@@ -140,13 +140,22 @@ def _worst_motion(
         return None
     errors = [roundtrip_error(a, b, source, result) for a, b in pairs]
     if not errors:
-        return roundtrip_error(_at_rest(source), _at_rest(result), source, result)
+        errors = [roundtrip_error(_at_rest(source), _at_rest(result), source, result)]
+        if copy.animations:  # a format whose rest pose has no rotations holds the pose as a motion of one frame
+            start = _first_frame(copy.animations[0], result)
+            errors.append(roundtrip_error(_at_rest(source), start, source, result))
+        return min(errors, key=lambda e: (e.position_mm, e.rotation_deg))
     return max(errors, key=lambda e: (e.position_mm, e.rotation_deg))
 
 
 def _at_rest(skeleton: Skeleton) -> Motion:
     rest = skeleton.rest
     return Motion(skeleton.names, Pose(rest.translations[None], rest.rotations[None], rest.scales[None]), 1.0)
+
+
+def _first_frame(animation: Clip | Motion, skeleton: Skeleton) -> Motion:
+    pose = sample(animation, skeleton, np.array([animation.start_s])).broadcast()
+    return Motion(skeleton.names, pose, 1.0)
 
 
 def _surfaces(

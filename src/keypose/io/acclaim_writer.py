@@ -233,7 +233,7 @@ def _body(skeleton: Skeleton, motion: Motion, notes: list[str]) -> _Body:
     rest_translations = np.asarray(rest.translations, np.float64)
     rest_rotations = np.asarray(rest.rotations, np.float64)
     tips = {joint: np.array(tip, np.float64) for joint, tip in reversed(skeleton.end_offsets)}
-    if np.any(pose.scales != 1) or np.any(rest.scales != 1):
+    if any(np.abs(np.asarray(p.scales) - 1).max(initial=0.0) > 1e-5 for p in (pose, rest)):  # more than rounding
         notes.append("joints are scaled: ASF has no scale, so the bones below them were lengthened instead")
         translations, _ = _lengthened(parents, translations, np.asarray(pose.scales, np.float64))
         rest_translations, sizes = _lengthened(parents, rest_translations, np.asarray(rest.scales, np.float64))

@@ -342,6 +342,8 @@ def _without_scales(
 ) -> tuple[Floats, Floats, list[tuple[int, Floats]]]:
     """Translations, offsets and ends multiplied by the scales above them, so that no joint moves."""
     scales = np.broadcast_to(pose.scales, translations.shape)
+    if np.abs(scales - 1).max(initial=0.0) < 1e-5:  # rounding
+        return translations, offsets, ends
     if np.ptp(scales, axis=-1).max(initial=0.0) > 1e-6:
         notes.append("joints are scaled differently along their axes: BVH has no scale, their mean was used")
     else:

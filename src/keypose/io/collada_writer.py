@@ -20,6 +20,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io.atomic import replacing
 from keypose.io.collada_animation import refined
+from keypose.io.notes import beyond_meshes
 from keypose.math import rigid
 from keypose.model import (
     Channel,
@@ -127,6 +128,7 @@ class _Writer:
             )
         if character.extras or character.roles:
             self.notes.append("roles and what other formats kept with the character are not in the file")
+        self.notes += beyond_meshes(character)
         rest_weights = np.asarray(character.rest_morph_weights, np.float64)
         hung: dict[int, list[str]] = {}
         skinned: list[str] = []

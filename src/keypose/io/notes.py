@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any, cast
+
+from keypose.model import Character
 
 
 class UniqueNames:
@@ -45,3 +48,30 @@ class Notes:
     def texts(self) -> tuple[str, ...]:
         """All notes in order of appearance."""
         return (*self._texts, *([f"{self._more} more notes of this kind"] if self._more else []))
+
+
+def beyond_meshes(character: Character) -> list[str]:
+    """What a character keeps of a glTF or VRM file that formats of joints, meshes and plain materials cannot hold."""
+    notes: list[str] = []
+    kept = _mapping(character.extras.get("vrm"))
+    words = {
+        "expressions": "expressions",
+        "springBone": "spring bones",
+        "lookAt": "look-at",
+        "firstPerson": "first person",
+        "meta": "licence",
+    }
+    said = [word for key, word in words.items() if key in kept]
+    if said:
+        notes.append(f"VRM: {', '.join(said)} are not in the file")
+    names: set[str] = set()
+    for part in character.parts:
+        names.update(_mapping(_mapping(part.material.extras.get("gltf")).get("extensions")))
+    names.discard("KHR_materials_unlit")  # which a material says itself
+    if names:
+        notes.append(f"material extensions are not in the file: {', '.join(sorted(names))}")
+    return notes
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else {}

@@ -14,7 +14,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import FormatError
 from keypose.io import atomic
 from keypose.io.axes import unit_in_metres
-from keypose.io.notes import Notes, UniqueNames
+from keypose.io.notes import Notes, UniqueNames, beyond_meshes
 from keypose.io.obj_materials import checked_name, library_text
 from keypose.io.text import format_rows
 from keypose.model import Character, Material, Scene
@@ -95,6 +95,8 @@ def _note_losses(scene: Scene, notes: Notes, targets: bool) -> None:
         notes.add(f"{morphs} morph channels were not written; targets=True writes an OBJ file for each")
     if any(part.mesh.attributes for c in scene.characters for part in c.parts):
         notes.add("further attributes of vertices were not written")
+    for text in [text for character in scene.characters for text in beyond_meshes(character)]:
+        notes.add(text)
 
 
 def _surfaces(

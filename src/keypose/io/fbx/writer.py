@@ -17,7 +17,7 @@ from keypose.io.fbx.out_animations import CUSTOM_MODE, TIME_MODES, AnimationWrit
 from keypose.io.fbx.out_materials import MaterialWriter
 from keypose.io.fbx.out_nodes import LIMB, MESH, NULL, Objects, add_models
 from keypose.io.fbx.out_surfaces import Group, SurfaceWriter, group_parts
-from keypose.io.notes import Notes
+from keypose.io.notes import Notes, beyond_meshes
 from keypose.model import Character, Scene
 
 
@@ -60,6 +60,8 @@ def _character(
     objects: Objects, materials: MaterialWriter, character: Character, scale: float, notes: Notes
 ) -> Written:
     groups = group_parts(character, notes)
+    for text in beyond_meshes(character):
+        notes.add(text)
     kinds, bones = _kinds(character, groups)
     models = add_models(objects, character, kinds, bones, scale)
     surfaces = SurfaceWriter(objects, materials, scale, notes)
