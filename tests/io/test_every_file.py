@@ -74,8 +74,12 @@ CHECKS: tuple[tuple[str, str, Check], ...] = (
     (r"\.dae$", r"(\d+) joints", lambda s, m: _joints(s) >= int(m[1])),
     (r"\.dae$", r"up (X|Y|Z)_UP", lambda s, m: s.up == m[1]),
     (r"\.dae$", r"unit ([\d.]+) m", lambda s, m: close(s.unit_m, m[1])),
-    (r"\.usda?$", r"up (X|Y|Z)", lambda s, m: s.up == m[1]),
-    (r"\.usda?$", r"(\d+) meshes \((\d+) points\)", lambda s, m: _fits(s, int(m[2]))),
+    (r"\.usd[az]?$", r"up (X|Y|Z)", lambda s, m: s.up == m[1]),
+    (r"\.usd[az]?$", r"([\d.]+) m/unit", lambda s, m: close(s.unit_m, m[1])),
+    (r"\.usd[az]?$", r"time (\d+)-(\d+) at (\d+)/s", lambda s, m: _lasts(s, int(m[1]), int(m[2]), int(m[3]))),
+    (r"\.usd[az]?$", r"\((\d+) joints\)", lambda s, m: _joints(s) >= int(m[1])),
+    (r"\.usd[az]?$", r"(\d+) meshes \((\d+) points\)", lambda s, m: _fits(s, int(m[2]))),
+    (r"\.usd[az]?$", r"(\d+) blend shapes", lambda s, m: len(s.character.morph_names) >= int(m[1])),
     (r"\.fbx$", r"LimbNode ([1-9]\d*)", lambda s, m: _joints(s) > 1),
 )
 
@@ -93,6 +97,14 @@ def _joints(scene: Scene) -> int:
 def _dropped(scene: Scene) -> int:
     """Nodes that are outside the file's scene, as the notes say."""
     return sum(int(m[1]) for note in scene.notes if (m := re.match(r"(\d+) root nodes outside", note)))
+
+
+def _lasts(scene: Scene, first: int, last: int, rate: int) -> bool:
+    """Whether the clips, if there are any, go from one time code to another; some files end before their last frame."""
+    return all(
+        abs(a.start_s * rate - first) < 1e-6 and (a.start_s + a.duration_s) * rate < last + 1e-6
+        for a in scene.animations
+    )
 
 
 def _fits(scene: Scene, points: int) -> bool:
