@@ -127,3 +127,21 @@ def test_the_sample_is_what_its_operators_make():
     )
     gone = pose.translations[rolling, 0, 0] - pose.translations[rolling, 0, 0][0]
     np.testing.assert_allclose(turned * 0.25, gone, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "name", ["separate", "join", "resample", "to_euler", "to_rotations", "reorder_euler", "filter_euler"]
+)
+def test_what_only_changes_the_form_keeps_the_motion_at_frames(name):
+    before = clip()
+    if name == "join":
+        before = run_operator("separate", before, body()).clip
+    made = run_operator(
+        name, before, body(), parameters={"order": "ZXY"} if "euler" in name and "filter" not in name else {}
+    )
+    at = np.arange(60) / 25
+    old, new = (sample_clip(c, body(), at) for c in (before, made.clip))
+    # Between keys the filter goes another way, which is what it is for.
+    keys = np.isin(at, [0, 1]) if name == "filter_euler" else at >= 0
+    np.testing.assert_allclose(new.translations[keys], old.translations[keys], atol=1e-6)
+    assert quat.angle_between(new.rotations[keys], old.rotations[keys]).max() < 2e-4
