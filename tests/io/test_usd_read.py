@@ -12,7 +12,7 @@ import pytest
 
 import keypose.io
 from keypose.deform import deform_part
-from keypose.errors import FormatError
+from keypose.errors import FormatError, UnknownName
 from keypose.evaluate import sample, sample_morphs, world
 from keypose.io import guarded
 from keypose.io.usd import process, read, read_many
@@ -128,17 +128,27 @@ def test_any_axis_up(up: str, tmp_path: Path) -> None:
     """A figure that stands along the file's axis stands along Y; from Z up it faces +Z where it faced -Y."""
     along = {"X": (2, 0, 0), "Y": (0, 2, 0), "Z": (0, 0, 2)}[up]
     text = root(skeleton(rest=f"{EYE}, {AT.format(*along)}"), mesh(more=ONE))
-    path = tmp_path / "a.usda"
-    path.write_text(HEAD.format(unit=1, up=up, rate=24) + text)
-    if up == "X":  # usd-core knows two only
-        path.write_text(path.read_text().replace('upAxis = "X"', 'upAxis = "Z"'))
-        return
-    scene = read(path)
+    path = usda(tmp_path / "a.usda", text, up="Y" if up == "X" else up)
+    scene = read(path, up="X") if up == "X" else read(path)  # usd-core knows two only
     assert scene.up == up
     at = np.asarray(world(scene.character.skeleton, scene.character.skeleton.rest))
     np.testing.assert_allclose(at[1, :3, 3], [0, 2, 0], atol=1e-12)
     if up == "Z":
         np.testing.assert_allclose(at[0, :3, :3] @ [0, -1, 0], [0, 0, 1], atol=1e-12)
+
+
+def test_a_unit_that_is_missing_or_wrong(tmp_path: Path) -> None:
+    text = 'def Xform "a" {\n    double3 xformOp:translate = (1, 0, 0)\n    uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n" + text)
+    scene = keypose.io.load(path)
+    assert scene.unit_m == 0.01 and scene.character.skeleton.rest.translations[0, 0] == 0.01
+    assert any("names none" in note for note in scene.notes)
+    for unit, size in (("m", 1.0), (0.5, 0.5)):
+        scene = keypose.io.load(path, unit=unit)
+        assert scene.unit_m == size and scene.character.skeleton.rest.translations[0, 0] == size and scene.notes == ()
+    with pytest.raises(UnknownName, match="no unit 'parsec'"):
+        keypose.io.load(path, unit="parsec")
 
 
 def test_what_stands_above_a_skeleton_is_worked_into_its_roots(tmp_path: Path) -> None:
@@ -730,7 +740,7 @@ def test_a_process_that_dies_refuses_only_its_file(
         source.replace(head, f"{head}    if path.endswith('b.usda'):\n        {mishap}\n"), encoding="utf-8"
     )
     monkeypatch.setattr(process, "CHILD", child)
-    monkeypatch.setattr(process, "LIMITS", guarded.Limits(1600 << 20, base_cpu_s=1.0))
+    monkeypatch.setattr(process, "LIMITS", guarded.Limits(700 << 20, base_cpu_s=1.0))
     paths = [usda(tmp_path / f"{name}.usda", f'def Xform "{name}" {{}}\n') for name in "abc"]
     results = list(read_many(paths))
     assert [r.character.name if not isinstance(r, FormatError) else "" for r in results] == ["a", "", "c"]

@@ -39,7 +39,7 @@ _CODES = {
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a process may use for a file: a base, and so much more for every byte of the file."""
+    """What a process may use for a file, beside what its library takes: a base, and so much more for every byte of the file."""
 
     base_memory: int
     memory_per_byte: int = 24

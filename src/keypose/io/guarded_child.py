@@ -2,11 +2,12 @@
 """The throw-away process in which a native library reads files; it imports nothing of keypose and is never imported by it.
 
 Called as ``python guarded_child.py`` with one JSON object on standard input: ``reader``, the file of the module that reads,
-``memory_bytes`` and ``files``, a list of paths with seconds and bytes that each may take. To standard output, a file, goes
-one record for each: blocks of a tag, a length and that many bytes, first the arrays, then a JSON object that says what
-they are and where in the record. A record without its JSON means that the process was killed or crashed on that file.
+``memory_bytes`` that it may take beside the library, and ``files``, a list of paths with seconds and bytes that each may
+take. To standard output, a file, goes one record for each: blocks of a tag, a length and that many bytes, first the arrays,
+then a JSON object that says what they are and where in the record. A record without its JSON means that the process was
+killed or crashed on that file.
 
-The reading module has ``start()``, called once the limits hold, ``understood(record, path)``, which puts arrays into the
+The reading module has ``start()``, which imports the library, ``understood(record, path)``, which puts arrays into the
 record and returns the facts, and ``reason(error)``, which puts an error of the library into words or returns None.
 """
 
@@ -78,6 +79,15 @@ def read(path, out, most_bytes, reader):
     record.finish(facts)
 
 
+def used_addresses():
+    """Bytes of addresses that the library has taken already, most of them never used; a guess where nothing says so."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, AttributeError):
+        return 1 << 30
+
+
 def set_memory_limit(memory_bytes):
     """A limit where the system has one, and no core dumps."""
     try:
@@ -115,9 +125,9 @@ def main():
     out = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)  # libraries like to talk
-    limits = set_memory_limit(request["memory_bytes"])
     reader = load(request["reader"])
     reader.start()
+    limits = set_memory_limit(used_addresses() + request["memory_bytes"])
     for path, cpu_s, most_bytes in request["files"]:
         if limits is not None:
             set_time_limit(limits, cpu_s)

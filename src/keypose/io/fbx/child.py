@@ -449,7 +449,7 @@ def _turned(q, v):
 
 
 def start():
-    """Import the library, once the limits hold."""
+    """Import the library."""
     global ufbx
     gc.disable()
     import ufbx

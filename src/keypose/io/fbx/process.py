@@ -22,4 +22,4 @@ def records(paths: Sequence[Path]) -> Iterator[Record | FormatError]:
     """
     if importlib.util.find_spec("ufbx") is None:
         raise MissingExtra("reading FBX", "fbx")
-    return guarded.records(paths, CHILD, Limits(base_memory=800 << 20, base_cpu_s=BASE_CPU_S))
+    return guarded.records(paths, CHILD, Limits(base_memory=700 << 20, base_cpu_s=BASE_CPU_S))

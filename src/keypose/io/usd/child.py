@@ -20,7 +20,7 @@ SIZES = {"d": 8, "f": 4, "e": 2, "i": 4, "I": 4}
 
 
 def start():
-    """Import the library, once the limits hold."""
+    """Import the library."""
     global Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
     from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.errors import FormatError
-from keypose.io.axes import y_up_rotation
+from keypose.io.axes import UP_AXES, y_up_rotation
 from keypose.io.guarded import Record, sane
 from keypose.io.notes import Notes, UniqueNames
 from keypose.math import quat, rigid
@@ -94,18 +94,18 @@ def trs(found: Floats, where: str, notes: Notes) -> tuple[Floats, Floats, Floats
     return parts
 
 
-def build(record: Record, notes: Notes, unit_m: float) -> Hierarchy:
-    """The skeleton of a file, metres, Y up."""
-    return _Builder(record, notes, unit_m).build()
+def build(record: Record, notes: Notes, unit_m: float, up: str) -> Hierarchy:
+    """The skeleton of a file whose ``up`` axis points up, metres, Y up."""
+    return _Builder(record, notes, unit_m, up).build()
 
 
 class _Builder:
-    def __init__(self, record: Record, notes: Notes, unit_m: float) -> None:
+    def __init__(self, record: Record, notes: Notes, unit_m: float, up: str) -> None:
         self._record, self._notes, self._unit_m = record, notes, unit_m
         facts = record.facts
         self._prims: Sequence[Mapping[str, Any]] = facts["prims"]
         self._skeletons: Sequence[Mapping[str, Any]] = facts["skeletons"]
-        self._up = Base(rotation=y_up_rotation(facts["up"] if facts["up"] in ("X", "Y", "Z") else "Y"))
+        self._up = Base(rotation=y_up_rotation(up if up in UP_AXES else "Y"))
         self._above = [self._parent(p) for p in range(len(self._prims))]
         self._matrix: dict[int, Floats] = {}
         for number, prim in enumerate(self._prims):

@@ -11,8 +11,7 @@ from keypose.io import guarded
 from keypose.io.guarded import Limits, Record
 
 CHILD = Path(__file__).with_name("child.py")
-# The library itself takes nearly 1 GiB of addresses, most of them never used.
-LIMITS = Limits(base_memory=1600 << 20, memory_per_byte=48, output_per_byte=48, base_cpu_s=5.0)
+LIMITS = Limits(base_memory=700 << 20, memory_per_byte=48, output_per_byte=48, base_cpu_s=5.0)
 # One thread and one heap: more would each reserve addresses; nothing is looked for outside the file's own folder.
 _ENVIRONMENT = {
     "PXR_WORK_THREAD_LIMIT": "1",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from keypose.arrays import Floats
 from keypose.errors import FormatError, ShapeError
+from keypose.io.axes import checked_up, unit_in_metres
 from keypose.io.guarded import Record
 from keypose.io.notes import Notes
 from keypose.io.usd import hierarchy
@@ -27,14 +29,18 @@ from keypose.io.usd.surfaces import Surface, surfaces
 from keypose.model import Character, Material, Mesh, Part, Scene
 
 
-def read(path: Path) -> Scene:
+def read(path: Path, *, unit: str | float | None = None, up: str | None = None) -> Scene:
     """A USD file of any kind (.usd, .usda, .usdc, .usdz) as one character with its clips; metres, Y up.
+
+    ``unit`` (a name such as "cm", or metres per unit) and ``up`` ("X", "Y" or "Z") go over what the file says.
 
     Raises:
         FormatError: where the file is damaged, or too large for what it holds.
+        UnknownName, ShapeError: for a unit or axis that is none.
         MissingExtra: where usd-core is not installed.
     """
-    for scene in read_many([path]):
+    given = _Given(None if unit is None else unit_in_metres(unit), None if up is None else checked_up(up))
+    for scene in _read_many([path], given):
         if isinstance(scene, FormatError):
             raise scene
         return scene
@@ -47,6 +53,18 @@ def read_many(paths: Iterable[str | PathLike[str]]) -> Iterator[Scene | FormatEr
     Raises:
         MissingExtra: where usd-core is not installed.
     """
+    return _read_many(paths, _Given())
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What goes over what the file says."""
+
+    unit_m: float | None = None
+    up: str | None = None
+
+
+def _read_many(paths: Iterable[str | PathLike[str]], given: _Given) -> Iterator[Scene | FormatError]:
     files = [Path(path) for path in paths]
     refused: dict[int, FormatError] = {}
     for number, path in enumerate(files):
@@ -61,15 +79,15 @@ def read_many(paths: Iterable[str | PathLike[str]]) -> Iterator[Scene | FormatEr
             refused[number] = error.at(path)
     found = records([path for number, path in enumerate(files) if number not in refused])
     for number, path in enumerate(files):
-        yield refused[number] if number in refused else _understood(path, next(found))
+        yield refused[number] if number in refused else _understood(path, next(found), given)
 
 
-def _understood(path: Path, record: Record | FormatError) -> Scene | FormatError:
+def _understood(path: Path, record: Record | FormatError, given: _Given) -> Scene | FormatError:
     if isinstance(record, FormatError):
         where, what = place_of_damage(path, record)
         return FormatError(what, where=where, path=path)
     try:
-        return _scene(path, record)
+        return _scene(path, record, given)
     except FormatError as error:
         return error.at(path)
     except ShapeError as error:
@@ -79,17 +97,18 @@ def _understood(path: Path, record: Record | FormatError) -> Scene | FormatError
         return FormatError(f"it cannot be understood ({type(error).__name__})", where="contents", path=path)
 
 
-def _scene(path: Path, record: Record) -> Scene:
+def _scene(path: Path, record: Record, given: _Given) -> Scene:
     notes, facts = Notes(), record.facts
     for text in facts["notes"]:
         notes.add(str(text))
-    unit_m = float(facts["unit_m"])
+    unit_m = float(facts["unit_m"]) if given.unit_m is None else given.unit_m
+    up = str(facts["up"]) if given.up is None else given.up
     if not (np.isfinite(unit_m) and 1e-6 < unit_m < 1e6):
         notes.add(f"its unit of {unit_m:g} m is impossible; taken as cm")
         unit_m = 0.01
-    elif not facts["has_unit"]:
+    elif not facts["has_unit"] and given.unit_m is None:
         notes.add("unit: the file names none; USD then means centimetres")
-    tree = hierarchy.build(record, notes, unit_m)
+    tree = hierarchy.build(record, notes, unit_m, up)
     morphs = blend_shapes.build(record, tree.same, notes)
     rest_weights = _rest_weights(record, morphs)
     parts = _Parts(path, record, tree, morphs, unit_m, notes).parts()
@@ -122,7 +141,7 @@ def _scene(path: Path, record: Record) -> Scene:
         tuple(animations),
         format="usd",
         unit_m=unit_m,
-        up=str(facts["up"]),
+        up=up,
         notes=notes.texts(),
         extras={"usd": about},
     )
