@@ -48,7 +48,7 @@ export class Curve {
         const rest = modulo(time - first, span);
         const cycles = Math.round((time - first - rest) / span);
         this.inside(clamp(first + rest, first, last), out, at);
-        if (rule === "cycle_offset") this.addCycles(cycles, out, at);
+        if (rule === "cycle_offset" && this.data.kind !== "boolean") this.addCycles(cycles, out, at);
         return;
       }
       if (rule === "ping_pong") {

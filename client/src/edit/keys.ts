@@ -53,34 +53,70 @@ export function without(count: number, indices: ArrayLike<number>): Uint32Array 
 
 type Numbers = Float64Array | Uint8Array;
 
-function rows<A extends Numbers>(array: A, indices: ArrayLike<number>, width: number): A {
-  const out = new (array.constructor as new (n: number) => A)(indices.length * width);
-  for (let n = 0, o = 0; n < indices.length; n++) {
-    const from = indices[n] * width;
-    for (let c = 0; c < width; c++) out[o++] = array[from + c];
+function rows<A extends Numbers>(array: A, indices: ArrayLike<number>, width: number, spare?: A | null): A {
+  const count = indices.length;
+  const out = spare && spare !== array && spare.length === count * width ? spare : new (array.constructor as new (n: number) => A)(count * width);
+  for (let n = 0; n < count; ) {
+    // keys in a row are copied at once
+    let end = n + 1;
+    while (end < count && indices[end] === indices[end - 1] + 1) end++;
+    (out as Float64Array).set(array.subarray(indices[n] * width, (indices[end - 1] + 1) * width) as Float64Array, n * width);
+    n = end;
   }
   return out;
 }
 
 /** Only these keys (indices in increasing order), as a curve of their own; null of none. */
-export function pick(curve: EditCurve, indices: ArrayLike<number>): EditCurve | null {
+export function pick(curve: EditCurve, indices: ArrayLike<number>, spare: EditCurve | null = null): EditCurve | null {
   if (indices.length === 0) return null;
   const width = curve.components;
-  const of = <A extends Numbers>(array: A | null, size: number) => array && rows(array, indices, size);
+  const of = <A extends Numbers>(array: A | null, size: number, into: A | null | undefined) => array && rows(array, indices, size, into);
   return {
     ...curve,
-    times: of(curve.times, 1)!,
-    values: of(curve.values, width)!,
-    modes: of(curve.modes, 1)!,
-    inTangents: of(curve.inTangents, width),
-    outTangents: of(curve.outTangents, width),
-    inHandles: of(curve.inHandles, 2 * width),
-    outHandles: of(curve.outHandles, 2 * width),
-    types: of(curve.types, 2),
+    times: of(curve.times, 1, spare?.times)!,
+    values: of(curve.values, width, spare?.values)!,
+    modes: of(curve.modes, 1, spare?.modes)!,
+    inTangents: of(curve.inTangents, width, spare?.inTangents),
+    outTangents: of(curve.outTangents, width, spare?.outTangents),
+    inHandles: of(curve.inHandles, 2 * width, spare?.inHandles),
+    outHandles: of(curve.outHandles, 2 * width, spare?.outHandles),
+    types: of(curve.types, 2, spare?.types),
   };
 }
 
-const sliced = <A extends Numbers>(array: A | null): A | null => array && (array.slice() as A);
+const scratch = new Map<string, Draft>();
+
+/** Memory for what lasts no longer than one operation, for curves of this shape. */
+function scratchFor(curve: EditCurve): Draft {
+  const shape = `${curve.times.length}/${curve.components}`;
+  let found = scratch.get(shape);
+  if (!found) {
+    if (scratch.size > 64) scratch.clear();
+    const numbers = curve.values.length, half = () => new Float64Array(numbers), whole = () => new Float64Array(2 * numbers);
+    found = {
+      ...curve,
+      times: new Float64Array(curve.times.length),
+      values: half(),
+      modes: new Uint8Array(0),
+      types: null,
+      inTangents: half(),
+      outTangents: half(),
+      inHandles: whole(),
+      outHandles: whole(),
+    };
+    scratch.set(shape, found);
+  }
+  return found;
+}
+
+/** A copy that may be written; in the memory of `spare` where that fits. */
+function copied<A extends Numbers>(array: A, spare: A | null | undefined): A {
+  if (!spare || spare === array || spare.length !== array.length) return array.slice() as A;
+  (spare as Float64Array).set(array);
+  return spare;
+}
+
+const sliced = <A extends Numbers>(array: A | null, spare?: A | null): A | null => array && copied(array, spare);
 
 /** A copy whose arrays may be written. */
 function draftOf(curve: EditCurve): Draft {
@@ -107,6 +143,9 @@ export function withHandles(curve: EditCurve): EditCurve {
     const third = (times[k + 1] - times[k]) / 3, hermite = modes[k] === Mode.Hermite && inTangents && outTangents;
     for (let c = 0; c < width; c++) {
       const n = k * width + c, m = n + width;
+      // level beyond the ends, as far as on the other side
+      if (k === 0) inHandles[2 * n] = -third;
+      if (k + 2 === count) outHandles[2 * m] = third;
       const secant = (values[m] - values[n]) / (3 * third);
       outHandles[2 * n] = third;
       outHandles[2 * n + 1] = third * (hermite ? outTangents[n] : secant);
@@ -208,21 +247,74 @@ function refreshed({ curve, indices }: Keyed): Keyed {
 
 /**
  * Move and scale keys. `masks` holds for every index the bits of the components whose values change (null: all). Keys that
- * land on others take their place; a negative scale of time turns the order round.
+ * land on others take their place; a negative scale of time turns the order round. A curve that nobody looks at any more
+ * may be given as `spare`: its arrays are written again, so that dragging thousands of keys makes no garbage.
  */
-export function transformKeys(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null = null): Keyed {
+export function transformKeys(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null = null, spare: EditCurve | null = null): Keyed {
   const { scaleTime, shiftTime, scaleValue, shiftValue } = transform;
   const inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
   if (indices.length === 0 || (!inTime && !inValue)) return { curve, indices };
-  if (inTime && !(scaleTime > 0 && staysInOrder(curve.times, indices, scaleTime, shiftTime))) {
-    // taken out, changed as a curve of their own and put back
-    const own = pick(curve, indices)!;
-    const rest = pick(curve, without(curve.times.length, indices));
-    return refreshed(merge(rest, orderly(changed(own, allKeys(own), transform, masks))));
-  }
-  const draft = changed(curve, indices, transform, masks);
+  const ordered = !inTime || (scaleTime > 0 && staysInOrder(curve.times, indices, scaleTime, shiftTime));
+  const draft = changed(curve, indices, transform, masks, ordered ? spare : scratchFor(curve));
+  if (!ordered) return rearranged(draft, indices, scaleTime < 0 ? indices.toReversed() : indices, scaleTime < 0, spare);
   refreshAround(draft, indices);
   return { curve: draft, indices };
+}
+
+/** Put keys that have new times (`moved`, in the order of those) among the others, whose place they take. */
+function rearranged(draft: Draft, indices: Uint32Array, moved: ArrayLike<number>, backwards: boolean, spare: EditCurve | null = null): Keyed {
+  if (backwards) turnSides(draft, indices);
+  const { times } = draft, count = times.length;
+  const order = new Uint32Array(count), places = new Uint32Array(moved.length);
+  const own = new Uint8Array(count);
+  for (let n = 0; n < indices.length; n++) own[indices[n]] = 1;
+  let i = 0, j = 0, n = 0, m = 0;
+  for (;;) {
+    while (i < count && own[i]) i++;
+    if (j < moved.length && (i >= count || times[moved[j]] <= times[i] + SAME_TIME)) {
+      const k = moved[j++], last = n > 0 ? order[n - 1] : -1;
+      if (last >= 0 && times[k] - times[last] <= SAME_TIME) {
+        n--;
+        // of moved keys that fall together the last stays
+        if (own[last]) m--;
+      }
+      places[m++] = n;
+      order[n++] = k;
+    } else if (i < count) {
+      const last = n > 0 ? order[n - 1] : -1;
+      if (last >= 0 && own[last] && times[i] - times[last] <= SAME_TIME) i++;
+      else order[n++] = i++;
+    } else break;
+  }
+  const curve: Draft = pick(draft, order.subarray(0, n), spare)!;
+  const kept = places.slice(0, m);
+  // from the first key that is another one to the last, with their neighbours
+  let first = 0, last = 0;
+  while (first < n && order[first] === first && !own[first]) first++;
+  while (last < n && order[n - 1 - last] === count - 1 - last && !own[count - 1 - last]) last++;
+  refresh(curve, first - 1, n - last);
+  return { curve, indices: kept };
+}
+
+/** Before is after: sides of keys that were turned round in time, and the modes of the spans between them, in place. */
+function turnSides(draft: Draft, indices: Uint32Array): void {
+  const { components: width, types, inTangents, outTangents, inHandles, outHandles } = draft;
+  const swap = (a: Float64Array | null, b: Float64Array | null, from: number, to: number) => {
+    for (let n = from; a && b && n < to; n++) [a[n], b[n]] = [b[n], a[n]];
+  };
+  const modes = draft.modes.slice();
+  for (let n = 0; n < indices.length; n++) {
+    const k = indices[n];
+    swap(inTangents, outTangents, k * width, (k + 1) * width);
+    swap(inHandles, outHandles, 2 * k * width, 2 * (k + 1) * width);
+    // a span's mode belongs to the key that starts it, which is now the other one
+    modes[k] = draft.modes[indices[n > 0 ? n - 1 : indices.length - 1]];
+  }
+  draft.modes = modes;
+  if (!types) return;
+  const turned = types.slice();
+  for (const k of indices) [turned[2 * k], turned[2 * k + 1]] = [types[2 * k + 1], types[2 * k]];
+  draft.types = turned;
 }
 
 function staysInOrder(times: Float64Array, indices: Uint32Array, scale: number, shift: number): boolean {
@@ -237,18 +329,18 @@ function staysInOrder(times: Float64Array, indices: Uint32Array, scale: number, 
 }
 
 /** Keys with new times and values where they stand; only arrays that change are copied. */
-function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null): Draft {
+function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null, spare: EditCurve | null = null): Draft {
   const { scaleTime, shiftTime, scaleValue, shiftValue } = transform;
   const width = curve.components, inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
   const sides = scaleTime !== 1 || scaleValue !== 1 || curve.types !== null;
   const draft: Draft = {
     ...curve,
-    times: inTime ? curve.times.slice() : curve.times,
-    values: inValue ? curve.values.slice() : curve.values,
-    inTangents: sides ? sliced(curve.inTangents) : curve.inTangents,
-    outTangents: sides ? sliced(curve.outTangents) : curve.outTangents,
-    inHandles: sides ? sliced(curve.inHandles) : curve.inHandles,
-    outHandles: sides ? sliced(curve.outHandles) : curve.outHandles,
+    times: inTime ? copied(curve.times, spare?.times) : curve.times,
+    values: inValue ? copied(curve.values, spare?.values) : curve.values,
+    inTangents: sides ? sliced(curve.inTangents, spare?.inTangents) : curve.inTangents,
+    outTangents: sides ? sliced(curve.outTangents, spare?.outTangents) : curve.outTangents,
+    inHandles: sides ? sliced(curve.inHandles, spare?.inHandles) : curve.inHandles,
+    outHandles: sides ? sliced(curve.outHandles, spare?.outHandles) : curve.outHandles,
   };
   const { times, values, inTangents, outTangents, inHandles, outHandles } = draft;
   for (let n = 0; n < indices.length; n++) {
@@ -288,44 +380,12 @@ function unit(q: Float64Array, o: number, mask: number): void {
   for (let c = 0; c < 4; c++) if (!((mask >> c) & 1)) q[o + c] *= s;
 }
 
-/** Keys in the order of their times, one for each time (the last that came), after time was turned round or squeezed. */
-function orderly(curve: Draft): EditCurve {
-  const count = curve.times.length;
-  const backwards = count > 1 && curve.times[0] > curve.times[count - 1];
-  let next: EditCurve = curve;
-  if (backwards) {
-    const turned = pick(curve, Uint32Array.from({ length: count }, (_, k) => count - 1 - k))!;
-    const modes = turned.modes.slice();
-    // a span's mode belongs to the key that starts it, which is now the other one
-    for (let k = 0; k + 1 < count; k++) modes[k] = turned.modes[k + 1];
-    modes[count - 1] = turned.modes[0];
-    const types = turned.types && turned.types.map((_, n) => turned.types![n ^ 1]);
-    next = {
-      ...turned,
-      modes,
-      types,
-      inTangents: turned.outTangents,
-      outTangents: turned.inTangents,
-      inHandles: turned.outHandles,
-      outHandles: turned.inHandles,
-    };
-  }
-  const kept: number[] = [];
-  for (let k = 0; k < count; k++) {
-    if (kept.length > 0 && next.times[k] - next.times[kept[kept.length - 1]] <= SAME_TIME) kept.pop();
-    kept.push(k);
-  }
-  return kept.length === count ? next : pick(next, kept)!;
-}
-
 /** Keys at times of their own, as to whole frames. */
 export function retimeKeys(curve: EditCurve, indices: Uint32Array, time: (time: number) => number): Keyed {
   if (indices.length === 0) return { curve, indices };
-  const own = pick(curve, indices)!;
-  const times = own.times.map(time);
-  const order = [...times.keys()].sort((a, b) => times[a] - times[b] || a - b);
-  const sorted = pick({ ...own, times }, order)!;
-  return refreshed(merge(pick(curve, without(curve.times.length, indices)), orderly(sorted)));
+  const draft: Draft = draftOf(curve);
+  for (const k of indices) draft.times[k] = time(curve.times[k]);
+  return rearranged(draft, indices, [...indices].sort((a, b) => draft.times[a] - draft.times[b] || a - b), false);
 }
 
 /** The keys, and copies of them moved by some seconds; the copies are what is returned as worked on. */
@@ -358,9 +418,29 @@ export function valueAt(curve: EditCurve, time: number): Float64Array {
 
 /**
  * A key more at a time, through which the curve goes as before: exactly where its span is of steps, lines or cubics. Sides
- * beside it that would follow their neighbours stay as they are from now on.
+ * beside it that would follow their neighbours stay as they are from now on. Where the handles of a Bezier span overlap in
+ * time it takes one more key in the middle to stay exact.
  */
 export function insertKey(curve: EditCurve, time: number): Keyed {
+  let next = curve;
+  for (const middle of overlapMiddles(curve, time)) next = insertOne(next, middle).curve;
+  return insertOne(next, time);
+}
+
+/** Times in the middle (u = 1/2) of the components of a Bezier span whose handles overlap. */
+function overlapMiddles({ times, modes, inHandles, outHandles, components: width }: EditCurve, time: number): number[] {
+  const k = keyBefore(times, time);
+  if (k + 1 >= times.length || time <= times[0] || modes[k] !== Mode.Bezier || !inHandles || !outHandles) return [];
+  const span = times[k + 1] - times[k], found: number[] = [];
+  for (let c = 0; c < width; c++) {
+    const first = Math.min(1, outHandles[2 * (k * width + c)] / span), last = 1 - Math.min(1, -inHandles[2 * ((k + 1) * width + c)] / span);
+    const middle = times[k] + (span * (3 * first + 3 * last + 1)) / 8;
+    if (first > last + 1e-12 && Math.abs(middle - time) > SAME_TIME) found.push(middle);
+  }
+  return found;
+}
+
+function insertOne(curve: EditCurve, time: number): Keyed {
   const { times, components: width } = curve;
   const near = keyFrom(times, time - SAME_TIME);
   if (near < times.length && Math.abs(times[near] - time) <= SAME_TIME) return { curve, indices: Uint32Array.of(near) };
@@ -381,10 +461,13 @@ export function insertKey(curve: EditCurve, time: number): Keyed {
     else if (mode === Mode.Hermite) splitHermite(curve, draft, at, c);
   }
   if (draft.types && (mode === Mode.Bezier || mode === Mode.Hermite)) {
-    const kept = (type: number) => (type === Tangent.Vector || type === Tangent.Free ? Tangent.Free : Tangent.Aligned);
-    draft.types[2 * (at - 1) + 1] = kept(draft.types[2 * (at - 1) + 1]);
-    draft.types[2 * (at + 1)] = kept(draft.types[2 * (at + 1)]);
-    draft.types[2 * at] = draft.types[2 * at + 1] = Tangent.Aligned;
+    const { types } = draft;
+    for (const [near, far] of [[2 * (at - 1) + 1, 2 * (at - 1)], [2 * (at + 1), 2 * (at + 1) + 1]]) {
+      types[near] = types[near] === Tangent.Vector || types[near] === Tangent.Free ? Tangent.Free : Tangent.Aligned;
+      // the other side would follow the new key, too
+      if (types[far] === Tangent.Auto || types[far] === Tangent.Clamped) types[far] = Tangent.Aligned;
+    }
+    types[2 * at] = types[2 * at + 1] = Tangent.Aligned;
   }
   return { curve: draft, indices };
 }
@@ -593,11 +676,10 @@ export interface PasteOptions {
 }
 
 /** Copied keys of one channel put into a curve of it (or one like it), or as a new curve of `channel`. */
-export function pasteKeys(curve: EditCurve | null, copied: EditCurve, length: number, channel: EditCurve["channel"], options: PasteOptions): Keyed {
+export function pasteKeys(curve: EditCurve | null, source: EditCurve, length: number, channel: EditCurve["channel"], options: PasteOptions): Keyed {
   const { at, mirrored = false, offset = false, overwrite = false } = options;
-  const all = allKeys(copied);
-  const moved = changed(copied, all, { ...STILL, scaleTime: mirrored ? -1 : 1, shiftTime: mirrored ? at + length : at }, null);
-  let own: EditCurve = { ...orderly(moved), channel };
+  const moved = transformKeys(source, allKeys(source), { ...STILL, scaleTime: mirrored ? -1 : 1, shiftTime: mirrored ? at + length : at });
+  let own: EditCurve = { ...moved.curve, channel };
   if (offset && curve && curve.kind !== "rotation" && curve.kind !== "boolean") {
     const there = valueAt(curve, own.times[0]), first = own.values.slice(0, own.components), width = own.components;
     own = { ...own, values: own.values.map((v, n) => v + there[n % width] - first[n % width]) };

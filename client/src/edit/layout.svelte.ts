@@ -10,8 +10,8 @@ const LIMITS = { left: [188, 420], right: [248, 460], bottom: [120, 620], layers
 export type Size = keyof typeof LIMITS;
 
 export class Layout {
-  left = $state(228);
-  right = $state(284);
+  left = $state(innerWidth < 1600 ? 228 : 280);
+  right = $state(innerWidth < 1600 ? 284 : 330);
   bottom = $state(innerHeight < 800 ? 252 : 340);
   layers = $state(innerHeight < 800 ? 138 : 240);
   leftOpen = $state(true);

@@ -284,8 +284,8 @@ export class Project implements Link {
 
   async download(format: string): Promise<void> {
     try {
-      const timeline = editor.timeline?.name ?? "";
-      const blob = await studio.connection.file(`api/project/export/${format}?timeline=${encodeURIComponent(timeline)}`);
+      const who = new URLSearchParams({ character: editor.character?.name ?? "", timeline: editor.timeline?.name ?? "" });
+      const blob = await studio.connection.file(`api/project/export/${format}?${who}`);
       save(blob, `${(this.status?.name || "project").replace(/[^\w.-]+/g, "_")}.${format}`);
     } catch (error) {
       studio.toast("error", `No ${format.toUpperCase()} file was written`, error instanceof Error ? error.message : String(error));

@@ -1,6 +1,7 @@
 // What can be dragged: keys (moved or scaled), handles, boxes, the view, the playhead, the range and markers. A drag shows
 // its result with `preview` while it lasts and makes one step of undo when it ends.
 
+import { keyFrom } from "../../anim/curve";
 import type { EditCurve, KeySelection } from "../contract";
 import { duplicateKeys, ripple, setHandle, STILL, transformKeys, type Keyed, type Transform } from "../keys";
 import { affected, type Ranges } from "./graph-drawing";
@@ -63,6 +64,7 @@ abstract class KeyDrag implements Drag {
   readonly base: ReadonlyMap<string, EditCurve>;
   protected readonly held: Map<string, Held>;
   private results = new Map<string, Keyed>();
+  private readonly spare = new Map<string, EditCurve>();
   protected readonly shapes = new Map<string, Shape>();
   private moved = false;
 
@@ -85,23 +87,25 @@ abstract class KeyDrag implements Drag {
     return Array.from({ length: width }, (_, c) => shift(this.shapes.get(lineId(key, c))));
   }
 
-  protected show(transformOf: (key: string, held: Held) => Transform, of: (held: Held, transform: Transform) => Keyed = defaultTransform): void {
+  protected show(transformOf: (key: string, held: Held) => Transform, of: (held: Held, transform: Transform, spare: EditCurve | null) => Keyed = defaultTransform): void {
     const { session } = this;
     const changes = new Map<string, EditCurve>(), selection = new Map(session.editor.selection);
-    let reordered = false;
+    let regrouped: Map<string, Ranges> | null = null;
     for (const [key, held] of this.held) {
-      const done = of(held, transformOf(key, held));
+      // the picture before last is not shown any more, so its memory serves again
+      const done = of(held, transformOf(key, held), this.spare.get(key) ?? null);
+      const last = this.results.get(key)?.curve;
+      if (last && last !== held.curve) this.spare.set(key, last);
       this.results.set(key, done);
       if (done.curve !== held.curve) changes.set(key, done.curve);
       const stays = same(done.indices, held.indices);
       selection.set(key, stays ? held.indices : withMasks(done.indices, done.indices.length === held.indices.length ? held.mask : null));
-      // keys that pass others: the whole curve is drawn again from now on
-      if ((!stays || done.curve.times.length !== held.curve.times.length) && this.dragged.get(key) !== null) {
-        if (!reordered) this.dragged = new Map(this.dragged);
-        (this.dragged as Map<string, Ranges>).set(key, null);
-        reordered = true;
-      }
+      if (stays && done.curve.times.length === held.curve.times.length) continue;
+      // keys that pass others: all that they passed is drawn again from now on
+      const swept = sweep(held, done, this.dragged.get(key)!);
+      if (swept !== this.dragged.get(key)) (regrouped ??= new Map(this.dragged)).set(key, swept);
     }
+    if (regrouped) this.dragged = regrouped;
     this.moved = changes.size > 0;
     this.selection = selection;
     session.editor.preview(this.moved ? { curves: new Map([[session.editor.clip!.name, changes]]) } : null);
@@ -122,7 +126,16 @@ abstract class KeyDrag implements Drag {
   }
 }
 
-const defaultTransform = ({ curve, indices, mask }: Held, transform: Transform) => transformKeys(curve, indices, transform, mask);
+const defaultTransform = ({ curve, indices, mask }: Held, transform: Transform, spare: EditCurve | null) => transformKeys(curve, indices, transform, mask, spare);
+
+/** One range over all keys between the places where moved keys were and where they are; it only grows, and by leaps. */
+function sweep({ curve, indices }: Held, done: Keyed, known: Ranges): Ranges {
+  const { times } = curve, now = done.curve.times;
+  const from = Math.min(times[indices[0]], now[done.indices[0]]), to = Math.max(times[indices[indices.length - 1]], now[done.indices[done.indices.length - 1]]);
+  const first = Math.max(0, keyFrom(times, from) - 3), last = Math.min(times.length - 1, keyFrom(times, to) + 3);
+  if (known.length === 1 && known[0][0] <= first && known[0][1] >= last) return known;
+  return [[Math.max(0, Math.min(known[0][0], first) - 8), Math.min(times.length - 1, Math.max(known[known.length - 1][1], last) + 8)]];
+}
 
 /** The active key, after its curve's keys moved. */
 function followed(active: CurveSession["active"], results: ReadonlyMap<string, Keyed>, held: ReadonlyMap<string, Held>): CurveSession["active"] {

@@ -8,8 +8,8 @@ import { valueStep, type Box, type View } from "./view";
 
 type Context = CanvasRenderingContext2D;
 
-/** Keys of a channel whose spans a drag may change: pairs of first and last key; null for all. */
-export type Ranges = readonly (readonly [number, number])[] | null;
+/** Keys of a channel whose spans a drag may change: pairs of first and last key of the curve as it was. */
+export type Ranges = readonly (readonly [number, number])[];
 
 /** Every span that moving these keys can change: their own, and as far as automatic tangents reach. */
 export function affected(curve: EditCurve, indices: Uint32Array): Ranges {
@@ -77,17 +77,16 @@ export interface GraphScene {
 /** Lines and keys at rest. Of channels that are being dragged only what stays as it is, and a ghost of the rest. */
 export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges> | null): void {
   const { view, colors, shapes, selection, locked, muted } = scene;
-  const many = shapes.length > 60;
-  c.lineJoin = "round";
+  const many = shapes.length > 60, { hair, plain, bold } = widths(scene);
   for (const shape of shapes) {
     const { line, curve } = shape;
     const moving = dragged?.get(line.channel);
     const active = selection.has(line.channel), quiet = locked.has(line.channel) || muted.has(line.channel);
     c.strokeStyle = c.fillStyle = paint(colors, line.hue);
     const strength = quiet ? 0.28 : many && !active ? (shapes.length > 150 ? 0.4 : 0.6) : 0.95;
-    c.lineWidth = active ? 1.6 : many ? 1 : 1.3;
+    c.lineWidth = active ? bold : plain;
     c.globalAlpha = strength * (moving === undefined ? 0.45 : 0.2);
-    c.setLineDash(curve.before === "hold" && curve.after === "hold" ? [] : [4, 3]);
+    c.setLineDash(many || (curve.before === "hold" && curve.after === "hold") ? [] : [4, 3]);
     c.beginPath();
     traceOutside(c, shape, view);
     c.stroke();
@@ -101,19 +100,17 @@ export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<st
       c.translate(-dx, -dy);
       continue;
     }
-    const end = curve.times.length - 1, ranges: readonly (readonly [number, number])[] = moving ?? [[0, end]];
-    const parts = moving === null ? [] : complement(moving, end);
+    const parts = complement(moving, curve.times.length - 1);
     c.beginPath();
     for (const [from, to] of parts) part(c, shape, view, from, to);
     c.stroke();
+    for (const [from, to] of parts) dots(c, shape, view, from, to);
+    // where the keys were
+    c.globalAlpha = 0.34;
+    c.setLineDash(many ? [] : [3, 3]);
+    c.lineWidth = hair;
     c.beginPath();
-    for (const [from, to] of parts) for (let k = from; k <= to; k++) dot(c, shape, view, k, 2);
-    c.fill();
-    c.globalAlpha = 0.3;
-    c.setLineDash([3, 3]);
-    c.lineWidth = 1;
-    c.beginPath();
-    for (const [from, to] of ranges) part(c, shape, view, from, to);
+    for (const [from, to] of moving) part(c, shape, view, from, to);
     c.stroke();
     c.setLineDash([]);
   }
@@ -129,31 +126,45 @@ function part(c: Context, shape: Shape, view: View, from: number, to: number): v
   trace(c, shape, a, b, view.keyScale, view.keyOffset, shape.factor * view.perUnit, view.toY(shape.offset));
 }
 
-function dot(c: Context, shape: Shape, view: View, k: number, radius: number): void {
-  const { curve, line } = shape;
-  const x = view.clipX(curve.times[k]);
-  if (x < -4 || x > view.width + 4) return;
-  const y = view.toY(shownValue(shape, curve.values[k * curve.components + line.component]));
-  c.rect(x - radius, y - radius, 2 * radius, 2 * radius);
+/** Keys as squares, where they have room. */
+function dots(c: Context, { curve, line, factor, offset }: Shape, view: View, from: number, to: number): void {
+  const { times, values, components } = curve;
+  const kx = view.keyScale, ox = view.keyOffset, ky = factor * view.perUnit, oy = view.toY(offset);
+  if (Math.abs(kx) * (times[to] - times[from]) < 4 * (to - from)) return;
+  for (let k = from; k <= to; k++) {
+    const x = kx * times[k] + ox;
+    if (x > -4 && x < view.width + 4) c.fillRect(x - 2, oy - ky * values[k * components + line.component] - 2, 4, 4);
+  }
 }
 
 /** What a drag changes: the moved spans, as the curves are now. */
-export function drawMoved(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges>): void {
+export function drawMoved(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges>, base: ReadonlyMap<string, EditCurve>): void {
   const { view, colors, shapes } = scene;
-  c.lineJoin = "round";
+  const { bold } = widths(scene);
   for (const shape of shapes) {
-    const moving = dragged.get(shape.line.channel);
-    if (moving === undefined) continue;
-    c.strokeStyle = c.fillStyle = paint(colors, shape.line.hue);
-    c.lineWidth = 1.6;
-    const ranges: Ranges = moving ?? [[0, shape.curve.times.length - 1]];
+    const { line, curve } = shape;
+    const ranges = dragged.get(line.channel);
+    if (!ranges) continue;
+    c.strokeStyle = c.fillStyle = paint(colors, line.hue);
+    c.lineWidth = bold;
+    // keys that fell together are gone from the range, which is then the only one
+    const gone = (base.get(line.channel)?.times.length ?? curve.times.length) - curve.times.length;
     c.beginPath();
-    for (const [from, to] of ranges!) part(c, shape, view, from, Math.min(to, shape.curve.times.length - 1));
+    for (const [from, to] of ranges) part(c, shape, view, from, to - gone);
     c.stroke();
-    c.beginPath();
-    for (const [from, to] of ranges!) for (let k = from; k <= Math.min(to, shape.curve.times.length - 1); k++) dot(c, shape, view, k, 2);
-    c.fill();
+    for (const [from, to] of ranges) dots(c, shape, view, from, to - gone);
   }
+}
+
+/** Thin where there is much to draw: lines wider than a pixel cost software renderers a hundred times as much. */
+function widths({ shapes, view }: GraphScene): { hair: number; plain: number; bold: number } {
+  const hair = 1 / Math.min(2, devicePixelRatio);
+  let spans = 0;
+  for (const { curve } of shapes) {
+    const [first, last] = visibleKeys(curve, view.clipTime(0), view.clipTime(view.width));
+    spans += last - first;
+  }
+  return spans > 3000 || shapes.length > 60 ? { hair, plain: hair, bold: hair } : { hair, plain: 1.3, bold: 1.6 };
 }
 
 export const HANDLES = 240;
@@ -191,16 +202,16 @@ export function drawSelected(c: Context, scene: GraphScene): void {
   if (withHandles.length <= HANDLES) for (const [shape, k] of withHandles) handles(c, scene, shape, k);
   const radius = points.length > 1200 ? 2.2 : 3.6;
   c.fillStyle = colors.accent;
+  if (radius < 3) {
+    for (let n = 0; n < points.length; n += 2) c.fillRect(points[n] - radius, points[n + 1] - radius, 2 * radius, 2 * radius);
+    return;
+  }
   c.beginPath();
   for (let n = 0; n < points.length; n += 2) {
-    if (radius < 3) c.rect(points[n] - radius, points[n + 1] - radius, 2 * radius, 2 * radius);
-    else {
-      c.moveTo(points[n] + radius, points[n + 1]);
-      c.arc(points[n], points[n + 1], radius, 0, 2 * Math.PI);
-    }
+    c.moveTo(points[n] + radius, points[n + 1]);
+    c.arc(points[n], points[n + 1], radius, 0, 2 * Math.PI);
   }
   c.fill();
-  if (radius < 3) return;
   c.strokeStyle = colors.ground;
   c.lineWidth = 1;
   c.stroke();

@@ -39,6 +39,8 @@ export function installHooks(editor: Editor, stage: StageEditor): () => void {
     held: () => [...editor.posed.keys()].map((key) => key.replaceAll("\u0000", ".")),
     localOf: (name: string) => takePose(actor(), "", [joint(name)]).joints[name],
     placeOf: (name: string) => placeOf(actor().rig.world, joint(name)),
+    /** model_from_joint: three columns and the place. */
+    worldOf: (name: string) => [...actor().rig.world.subarray(12 * joint(name), 12 * joint(name) + 12)],
     pointOf: (name: string) => onPage(view.project(actor(), actor().jointPosition(joint(name), actor().measuredRoot.clone()))),
     angleBetween: (a: Quat, b: Quat) => angleBetween(a, b),
     camera: () => ({ parallel: view.orbit.isParallel, position: view.orbit.camera.position.toArray(), target: view.orbit.target.toArray() }),
@@ -48,6 +50,10 @@ export function installHooks(editor: Editor, stage: StageEditor): () => void {
       const n = path?.times.findIndex((t) => Math.abs(t - time) < 1e-4) ?? -1;
       if (!path || n < 0) return null;
       return onPage(view.project(actor(), actor().measuredRoot.clone().fromArray(path.positions, 3 * n)));
+    },
+    jointAt: (x: number, y: number) => {
+      const box = view.canvas.getBoundingClientRect(), found = stage.jointAt(x - box.left, y - box.top);
+      return found < 0 ? null : actor().rig.names[found];
     },
     ghostPlaces: () => actor().ghostTimes(),
     /** The mirror image of the pose that is shown, and twice mirrored. */

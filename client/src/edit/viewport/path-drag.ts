@@ -14,7 +14,10 @@ import type { PathKey, PathKeys } from "./paths";
 import { CameraSight } from "./sight";
 import { add, dot, length, scaled, solve, subtract, type Vec } from "./spaces";
 
-/** The keys that a joint's path shows: its own, else those of the nearest joint above it that has any. */
+/**
+ * The keys that a joint's path shows: those of its place where it moves by itself, and these can be dragged; else those of
+ * the nearest joint, itself or above it, that has several.
+ */
 export function pathKeys(editor: Editor, joint: number): PathKeys {
   const { actor, clip, layer } = editor;
   const none = { times: new Float64Array(0), draggable: false };
@@ -23,8 +26,10 @@ export function pathKeys(editor: Editor, joint: number): PathKeys {
   const { rig } = actor;
   for (let j = joint; j >= 0; j = rig.parents[j]) {
     const own = [...clip.curves.values()].filter((c) => c.channel.target === rig.names[j] && c.channel.property !== "weight");
-    if (own.length === 0) continue;
-    const places = j === joint ? own.filter((c) => c.channel.property === "translation") : [];
+    const moves = (c: EditCurve) => c.channel.property === "translation" && (c.times.length > 1 || rig.parents[j] < 0);
+    const places = j === joint ? own.filter(moves) : [];
+    // one key does not move anything
+    if (places.length === 0 && !own.some((c) => c.times.length > 1) && rig.parents[j] >= 0) continue;
     const times = [...new Set((places.length > 0 ? places : own).flatMap((c) => [...c.times]))].sort((a, b) => a - b);
     return { times: Float64Array.from(times, (t) => timelineTime(editor, t)), draggable: places.length > 0 };
   }

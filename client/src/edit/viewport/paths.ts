@@ -79,6 +79,7 @@ class DotMaterial extends THREE.ShaderMaterial {
 /** The path of one joint. */
 class Path {
   readonly positions: Float32Array;
+  readonly dense: boolean;
   readonly line: LineSegments2;
   readonly dots: THREE.Points<THREE.BufferGeometry, DotMaterial>;
 
@@ -89,6 +90,8 @@ class Path {
     readonly isKey: Uint8Array,
     count: number,
   ) {
+    // a key on nearly every frame: small marks, or they would be a wall
+    this.dense = 3 * isKey.reduce((sum, v) => sum + v, 0) > count;
     this.positions = new Float32Array(3 * count).fill(NaN);
     const segments = Math.max(1, count - 1);
     const geometry = new LineSegmentsGeometry();
@@ -99,6 +102,8 @@ class Path {
     dots.setAttribute("position", new THREE.BufferAttribute(this.positions, 3));
     dots.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
     dots.setAttribute("look", new THREE.BufferAttribute(new Float32Array(2 * count), 2));
+    // never culled, and what is not measured yet is no number: three.js need not look for bounds
+    dots.boundingSphere = geometry.boundingSphere = new THREE.Sphere(new THREE.Vector3(), 1e3);
     this.dots = new THREE.Points(dots, new DotMaterial());
     this.line.renderOrder = -2;
     this.dots.renderOrder = -1;
@@ -254,7 +259,7 @@ export class MotionPaths {
       const here = Math.abs(times[n] - now) < 1e-6, key = isKey[n] === 1;
       const hot = this.hovered?.joint === path.joint && Math.abs(this.hovered.time - times[n]) < SAME;
       (key ? color.copy(hot ? palette.hover : palette.accent) : here ? color.copy(palette.overlayBone) : shade(n).lerp(palette.overlayBone, 0.35)).toArray(rgb, 3 * n);
-      looks[2 * n] = key ? (hot ? 13 : path.keys.draggable ? 11 : 8) : here ? 11 : isFrame[n] ? 4.5 : 0;
+      looks[2 * n] = key ? (hot ? 13 : path.dense ? 6 : path.keys.draggable ? 11 : 8) : here ? 11 : isFrame[n] ? 4.5 : 0;
       looks[2 * n + 1] = key ? (path.keys.draggable ? 1 : 0) : here ? 2 : 0;
       if (key && here) looks[2 * n] += 2;
     }
