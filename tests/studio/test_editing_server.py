@@ -485,3 +485,34 @@ def test_a_second_studio_is_told_who_has_the_project(tmp_path: Path) -> None:
     first.end(signal.SIGINT)
     assert (done.returncode, done.stdout) == (1, "")
     assert f"p.keypose is open in another studio (process {first.process.pid}" in done.stderr
+
+
+def test_a_studio_that_others_reach_stays_in_its_folder(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    outside.mkdir()
+    (inside / "out").symlink_to(outside)
+    monkeypatch.chdir(inside)
+    server = start(host="0.0.0.0")
+    with page(server) as one:
+        for path in (str(outside / "p"), "../outside/p", "out/p", "~/p"):
+            one.say("project_save", path=path, force=True)
+            assert "stays in" in one.until("failure")["message"]
+        for folder in ("..", "/", "out"):
+            one.say("project_browse", folder=folder)
+            assert "stays in" in one.until("failure")["message"]
+        one.say("project_open", path="/etc/passwd", discard=False)
+        assert "stays in" in one.until("failure")["message"]
+        one.say("project_save", path="p", force=False)
+        one.until("project_changed", lambda m: m["cause"] == "save")
+    assert os.listdir(outside) == []
+    assert (inside / "p.keypose").is_file()
+
+
+def test_a_step_without_a_name_can_be_seen_to_be_undone(server: StudioServer) -> None:
+    with page(server) as one:
+        one.edit({"kind": "set_settings", "settings": {"zoom": 2}}, label="")
+        assert one.until("project_changed")["status"]["undo"] == "Edit"
+        assert one.settings["zoom"] == 2.0

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from keypose.errors import KeyposeError, UnknownName
+from keypose.errors import FormatError, KeyposeError, UnknownName
 from keypose.evaluate.performing import perform
 from keypose.io.native import document_bytes
 from keypose.model import Character, Clip, Document, Motion, Scene
@@ -44,10 +45,13 @@ EXPORTS = ("keypose", "glb", "fbx", "bvh", "dae")
 
 
 class Editing:
-    """One open project for all pages of a studio."""
+    """One open project for all pages of a studio.
 
-    def __init__(self, session: Session, workspace: Workspace | None = None) -> None:
-        self._session = session
+    ``confined``: the only folder that projects are listed, opened and saved in, for studios that other machines reach.
+    """
+
+    def __init__(self, session: Session, workspace: Workspace | None = None, confined: Path | None = None) -> None:
+        self._session, self._confined = session, confined
         self.workspace = Workspace() if workspace is None else workspace
         self.recoverable_count = 0
         self._watchers: set[Outbox] = set()
@@ -94,11 +98,14 @@ class Editing:
                     for one in (await self._scene(character)).characters:
                         document = AddCharacter(one).apply(document)
                 await asyncio.to_thread(workspace.begin, document, discard=discard)
-                await self._send_state(self._watchers)
+                await self._enter()
             case edits.ProjectOpen(path=path, discard=discard):
+                self._allow(path)
                 await asyncio.to_thread(workspace.open, path, discard=discard)
-                await self._send_state(self._watchers)
+                await self._enter()
             case edits.ProjectSave(path=path, force=force):
+                if path is not None:
+                    self._allow(path)
                 await self._save(outbox, path, force=force)
             case edits.ProjectUndo():
                 await self._move("undo", workspace.undo)
@@ -106,16 +113,19 @@ class Editing:
                 await self._move("redo", workspace.redo)
             case edits.ProjectRecover(id=id):
                 await asyncio.to_thread(workspace.recover, id)
-                await self._send_state(self._watchers)
+                await self._enter()
             case edits.ProjectDiscard(id=id):
                 await asyncio.to_thread(workspace.discard, id)
                 await self._send_state([outbox])
             case edits.ProjectBrowse(folder=folder):
+                self._allow(folder or ".")
                 outbox.put(await asyncio.to_thread(listing, folder))
             case edits.ProjectAddCharacter(source=source):
                 scene = await self._scene(source)
                 if not scene.characters:
                     raise UnknownName("character", source, ())
+                for one in scene.characters:  # what cannot be shown is not added
+                    await self._entry(one)
                 await self._do([AddCharacter(one) for one in scene.characters], "Add character")
             case edits.ProjectRemoveCharacter(name=name):
                 await self._do([RemoveCharacter(name)], f"Remove {name}")
@@ -171,10 +181,11 @@ class Editing:
 
     async def _do(self, commands: Any, label: str, *, merge: str = "", id: str = "") -> None:
         wanted: list[Command] = list(commands)
+        name = label or "Edit"  # an empty one would say that there is nothing to undo
 
         async def act() -> str:
-            await asyncio.to_thread(self.workspace.edit, wanted, label, merge=merge)
-            return label
+            await asyncio.to_thread(self.workspace.edit, wanted, name, merge=merge)
+            return name
 
         await self._change("edit", id, act)
 
@@ -185,17 +196,22 @@ class Editing:
         before = self.workspace.document
         label = await act()
         after = self.workspace.document
-        found = await asyncio.to_thread(difference, before, after)
         body = Body()
+
+        def compare() -> tuple[bool, bool, dict[str, Any]]:
+            found = difference(before, after)
+            return found.characters, found.settings, difference_fields(found, storing(body))
+
+        characters, settings, fields = await asyncio.to_thread(compare)
         changed = edits.ProjectChanged(
             type="project_changed",
             status=self._status(),
             edit=id,
             label=label,
             cause=cause,
-            characters=await self._characters() if found.characters else None,
-            settings=dict(after.settings) if found.settings else None,
-            **difference_fields(found, storing(body)),
+            characters=await self._characters() if characters else None,
+            settings=dict(after.settings) if settings else None,
+            **fields,
         )
         for outbox in self._watchers:
             outbox.put(changed, None, body)
@@ -280,6 +296,18 @@ class Editing:
             unsafe=workspace.unsafe,
         )
 
+    async def _enter(self) -> None:
+        """Another project is open: every page gets all of it."""
+        self._shown.clear()
+        await self._send_state(self._watchers)
+
+    def _allow(self, path: str) -> None:
+        """Raises where the studio is confined to a folder, and this is outside of it."""
+        if self._confined is not None:
+            meant = Path(os.path.realpath(os.path.expanduser(path)))
+            if not meant.is_relative_to(os.path.realpath(self._confined)):
+                raise FormatError(f"other machines reach this studio, so it stays in {self._confined}", path=path)
+
     async def _send_state(self, outboxes: Any) -> None:
         body = Body()
         state = edits.ProjectState(
@@ -290,7 +318,7 @@ class Editing:
             operators=[spec.name for spec in await asyncio.to_thread(operator_specs)],
             exports=list(EXPORTS),
             folder=str(Path.cwd()),
-            **document_fields(self.workspace.document, storing(body)),
+            **await asyncio.to_thread(document_fields, self.workspace.document, storing(body)),
         )
         for outbox in outboxes:
             outbox.put(state, None, body)

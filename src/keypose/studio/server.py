@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from keypose.errors import KeyposeError, ShapeError
@@ -17,8 +18,6 @@ from keypose.studio.guard import Guard, bracketed, is_loopback
 from keypose.studio.session import UPLOAD_LIMIT_BYTES, Session, open_references
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import uvicorn
 
     from keypose.studio.graphs import OpenedGraph
@@ -49,7 +48,7 @@ def serve(
     """
     if not is_loopback(host) and not allow_remote:
         raise ShapeError(
-            f"host: '{host}' can be reached from other machines, and whoever has the URL sees the opened files; "
+            f"host: '{host}' can be reached from other machines, and whoever has the URL sees what is open and edits the project; "
             "say that you want this with --allow-remote"
         )
     from keypose.studio.graphs import is_graph_name, open_graph
@@ -119,7 +118,7 @@ class StudioServer:
         self.url = f"http://{bracketed(shown)}:{self.port}/?token={self.token}"
         if not is_loopback(host):
             print(
-                f"warning: {host} can be reached from other machines; whoever has the URL can see the opened files",
+                f"warning: {host} can be reached from other machines; whoever has the URL can see what is open and edit the project",
                 file=sys.stderr,
             )
 
@@ -149,6 +148,7 @@ class StudioServer:
             graphs=[*built_ins(), *self._graphs],
             start="edit" if self._edits else "play" if self._graphs else "view",
             workspace=self._workspace,
+            confined=None if is_loopback(self.host) else Path.cwd(),
         )
         await session.editing.look()
         app = Guard(build_app(session, self._static), token=self.token, host=self.host, port=self.port)

@@ -40,6 +40,7 @@ class Session:
         graphs: Sequence[OpenedGraph] = (),
         start: Literal["view", "play", "edit"] = "view",
         workspace: Workspace | None = None,
+        confined: Path | None = None,
     ) -> None:
         self.upload_limit_bytes = upload_limit_bytes
         self.graphs = {opened.entry.id: opened for opened in graphs}
@@ -51,7 +52,7 @@ class Session:
         self._take_numbers = itertools.count(1)
         self.outboxes: set[Outbox] = set()
         self._scenes: dict[str, tuple[messages.SceneEntry, bytes, Scene]] = {}
-        self.editing = Editing(self, workspace)
+        self.editing = Editing(self, workspace, confined)
         self._expected = 0
         self._ids = itertools.count(1)
         self._jobs = itertools.count(1)
