@@ -27,7 +27,8 @@ from keypose.project.locks import Lock, Locked
 
 UNTITLED = "Untitled"
 COMPACT_BYTES = 64 << 20
-"""A journal longer than this, and four times as long as its beginning, begins anew with the document as it is."""
+COMPACT_TIMES = 4
+"""A journal longer than this, and so many times as long as its beginning, begins anew with the document as it is."""
 
 Stamp = tuple[int, int, int]
 Reason = Literal["exists", "changed", "locked", "failed"]
@@ -359,7 +360,7 @@ class Workspace:
 
     def _compact(self) -> None:
         journal = self._journal
-        if journal is not None and journal.size > max(COMPACT_BYTES, 4 * self._begin_size):
+        if journal is not None and journal.size > max(COMPACT_BYTES, COMPACT_TIMES * self._begin_size):
             try:
                 self._start_journal()
             except OSError as error:
