@@ -700,7 +700,7 @@ def test_content_and_name(tmp_path: Path) -> None:
 
 def test_damage_is_told_with_its_place(tmp_path: Path) -> None:
     (tmp_path / "a.usda").write_text('#usda 1.0\ndef Xform "a"\n{\n    int b = = 3\n}\n')
-    with pytest.raises(FormatError, match=r"a\.usda: line 4 column \d+: Expected"):
+    with pytest.raises(FormatError, match=r"a\.usda: line 4\b.*: (Expected|syntax error)"):
         read(tmp_path / "a.usda")
     (tmp_path / "a.usdc").write_bytes(
         b"PXR-USDC" + bytes([0, 8, 0, 0, 0, 0, 0, 0]) + struct.pack("<Q", 1 << 40) + bytes(80)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from studio_scenes import arm_motion, arm_scene, arm_skeleton
 
-from keypose.model import Character, Image, Material, Motion, Part, Pose, Scene
+from keypose.model import Character, Image, Material, Motion, Part, Pose, Scene, SkinningMethod
 from keypose.studio.container import array, unpack
 from keypose.studio.payload import encode
 
@@ -87,6 +87,15 @@ def test_more_than_four_influences_are_packed_and_it_is_said() -> None:
     sent = got.header["characters"][0]["parts"][0]["skin"]
     assert np.allclose(got(sent["weights"]).sum(1), 1, atol=1e-6)
     assert "6 influences per vertex" in got.header["notes"][0]
+
+
+def test_a_skin_of_dual_quaternions_is_shown_linearly_and_it_is_said() -> None:
+    scene = arm_scene(influences=4)
+    part = scene.character.parts[0]
+    assert part.skin is not None
+    dual = replace(part, skin=replace(part.skin, method=SkinningMethod.DUAL_QUATERNION))
+    got = Decoded(replace(scene, characters=(replace(scene.character, parts=(dual,)),)))
+    assert any("dual quaternions; it is shown linearly" in note for note in got.header["notes"])
 
 
 def test_a_shared_skin_and_a_shared_picture_are_sent_once() -> None:

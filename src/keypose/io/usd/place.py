@@ -12,6 +12,7 @@ from pathlib import Path
 from keypose.errors import FormatError
 
 _LINE = re.compile(r":(\d+):(\d+): (.+)$")
+_OLDER_LINE = re.compile(r"^(.+) on line (\d+) in file")  # before 25.x
 _MESSAGE = re.compile(r" : '(.*?)'(?: Error in |$)")
 _BYTE = re.compile(r"at offset (\d+)")
 _SECTION = 32
@@ -25,6 +26,9 @@ def place_of_damage(path: Path, error: FormatError) -> tuple[str, str]:
     line = _LINE.search(what)
     if line:
         return f"line {line[1]} column {line[2]}", line[3]
+    line = _OLDER_LINE.search(what)
+    if line:
+        return f"line {line[2]}", line[1]
     byte = _BYTE.search(what)
     return error.where or (f"byte {byte[1]}" if byte else _outline(path)), what
 
