@@ -55,9 +55,8 @@ def follow_through(
 ) -> Clip:
     """The clip with joints (those given, else those chosen) dragging behind the body as damped springs in the model's space.
 
-    Each joint wants the orientation that the clip gives it under its parent, and is pulled there by a spring of
-    ``frequency_hz`` and ``damping`` (1 does not swing); every joint further down is looser, by ``loosen`` to the power of its
-    place. ``drag`` says how much of it is seen: 0 nothing, 1 all. Rotations of these joints get a key for every frame, at twice
+    Each joint wants the orientation in the model that the clip gives it, and is pulled there by a spring of ``frequency_hz``
+    and ``damping`` (1 does not swing); every joint further down is looser, by ``loosen`` to the power of its place. ``drag`` says how much of it is seen: 0 nothing, 1 all. Rotations of these joints get a key for every frame, at twice
     the rate of the clip, and ``settle_s`` seconds more after its end; the body holds there as its curves extrapolate.
 
     Raises: UnknownName for joints that do not exist; ShapeError where a number is out of its range.
@@ -81,17 +80,18 @@ def follow_through(
     local = np.array(pose.rotations, np.float64)
     local = np.array(np.broadcast_to(local, (len(times), skeleton.joint_count, 4)))
     parents = [int(p) for p in skeleton.parents]
-    model = np.empty_like(local)
+    # Springs that pull towards the lagging parent, in a row, would shake each other up; the clip's own pose does not.
+    wanted, model = np.empty_like(local), np.empty_like(local)
     late = set(order)
     for j in range(skeleton.joint_count):
         above = parents[j]
-        wanted = local[:, j] if above < 0 else quat.multiply(model[:, above], local[:, j])
+        wanted[:, j] = local[:, j] if above < 0 else quat.multiply(wanted[:, above], local[:, j])
+        model[:, j] = local[:, j] if above < 0 else quat.multiply(model[:, above], local[:, j])
         if j in late:
             looser = loosen ** places[skeleton.names[j]]
-            swung = _sprung(wanted, 1.0 / rate, frequency_hz * looser, damping)
-            wanted = quat.slerp(wanted, swung, drag)
-            local[:, j] = wanted if above < 0 else quat.multiply(quat.conjugate(model[:, above]), wanted)
-        model[:, j] = wanted
+            swung = _sprung(wanted[:, j], 1.0 / rate, frequency_hz * looser, damping)
+            model[:, j] = quat.slerp(wanted[:, j], swung, drag)
+            local[:, j] = model[:, j] if above < 0 else quat.multiply(quat.conjugate(model[:, above]), model[:, j])
     made = {
         Channel(skeleton.names[j], Property.ROTATION): Curve(
             times, quat.align_signs(quat.normalize(local[:, j])), Interpolation.LINEAR, kind=CurveKind.ROTATION

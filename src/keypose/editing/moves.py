@@ -269,8 +269,8 @@ def _swing(frequency_hz: float, damping: float, room_s: float) -> tuple[Array, A
         return np.zeros(0), np.zeros(0), np.zeros(0)
     peak = atan2(swing, damping * natural) / swing  # when it turns for the first time
     start = natural * exp(damping * natural * peak)  # the speed whose first turn is at 1
-    # Until a turn is below two hundredths of the first one, or as long as there is room.
-    turns = ceil(log(50.0) / (damping * natural * half)) + 1
+    # Until a turn is below a twentieth of the first one, or as long as there is room.
+    turns = ceil(log(20.0) / (damping * natural * half)) + 1
     if isfinite(room_s):
         turns = min(turns, int((0.95 * room_s) / half))
     times: list[float] = [0.0]

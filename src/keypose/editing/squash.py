@@ -210,8 +210,10 @@ def _contacts(times: Array, parts: Array, fastest: float, breaks: Array) -> list
         start, first, last = events[n]
         end = start
         if n + 1 < len(events) and events[n + 1][0] - start < _LONGEST_CONTACT_S:
-            between = parts[last : events[n + 1][1] + 1]
-            if len(between) and float(np.linalg.norm(between, axis=-1).max()) < 0.3 * fastest:
+            away = parts[min(events[n + 1][2], len(parts) - 1)] - parts[first]
+            between = parts[last : events[n + 1][1] + 1] @ away
+            # Landed and not yet taken off: it may slide, but keeps to what it touches.
+            if len(between) and float(np.abs(between).max()) < 0.15 * float(away @ away):
                 end, _, last = events[n + 1]
                 n += 1
         turned = parts[min(last, len(parts) - 1)] - parts[first]
