@@ -95,7 +95,7 @@ export function drawRuler(c: Context, view: View, colors: CurveColors, state: Ru
   for (const [x, side] of [[x0, -1], [x1, 1]] as const) {
     if (x < -6 || x > view.width + 6) continue;
     c.beginPath();
-    c.roundRect(side < 0 ? x : x - 4, 4, 4, RULER - 9, 1.5);
+    c.roundRect(side < 0 ? x : x - 4, RULER - 9, 4, 8, 1.5);
     c.fill();
   }
   if (markers.length > 0) drawMarkers(c, view, colors, markers);
