@@ -1,5 +1,35 @@
-"""Inverse kinematics: closed-form limbs."""
+"""Inverse kinematics: closed-form limbs, chains (CCD, FABRIK), limits of joints."""
 
+from keypose.ik.chains import ChainResult, chain_between, solve_ccd, solve_fabrik
 from keypose.ik.limb import LimbResult, limb_rotations, rotation_between_frames, solve_limb
+from keypose.ik.limits import (
+    Cone,
+    EulerRange,
+    Hinge,
+    JointLimit,
+    LimitBreak,
+    clamp_pose,
+    clamp_rotation,
+    find_limit_breaks,
+    limit_violation,
+)
 
-__all__ = ["LimbResult", "limb_rotations", "rotation_between_frames", "solve_limb"]
+__all__ = [
+    "ChainResult",
+    "Cone",
+    "EulerRange",
+    "Hinge",
+    "JointLimit",
+    "LimbResult",
+    "LimitBreak",
+    "chain_between",
+    "clamp_pose",
+    "clamp_rotation",
+    "find_limit_breaks",
+    "limb_rotations",
+    "limit_violation",
+    "rotation_between_frames",
+    "solve_ccd",
+    "solve_fabrik",
+    "solve_limb",
+]
