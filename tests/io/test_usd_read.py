@@ -618,6 +618,7 @@ def test_layers_that_refer_to_themselves(tmp_path: Path) -> None:
         assert "a.usda" in str(error)
 
 
+@pytest.mark.slow
 def test_a_laugh_of_references_is_refused_in_time(tmp_path: Path) -> None:
     """Each level refers to the one below ten times: 10 to the power of 8 prims from 3 kB."""
     text = 'def Xform "l0" {}\n'
