@@ -9,7 +9,7 @@ import numpy as np
 
 from keypose.arrays import Array
 from keypose.editing.selection import EVERYTHING, Selection, chosen_channels, chosen_spans, with_curves
-from keypose.editing.spans import Span, difference, hermite_span, rates, with_spans
+from keypose.editing.spans import hermite_spans, rates
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import sample_clip, world_rotations_positions
 from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Property, Skeleton
@@ -101,21 +101,13 @@ def _smooth(curve: Curve, spans: list[int], amount: float, bow: float) -> Curve:
     smooth[0], smooth[-1] = leaving[0], coming[-1]
     leaving = leaving + amount * (smooth - leaving)
     coming = coming + amount * (smooth - coming)
-    made: dict[int, Span] = {}
-    for k in spans:
-        if held[k]:
-            continue
-        begin, end = leaving[k].copy(), coming[k + 1].copy()
-        if bow and values.shape[1] == 3:
-            # A parabola over the chord: its height is a quarter of the change of slope over the span.
-            length = float(np.linalg.norm(difference(curve.kind, values[k], values[k + 1])))
-            lift = amount * 4.0 * bow * length / float(times[k + 1] - times[k])
-            begin[1] += lift
-            end[1] -= lift
-        made[k] = hermite_span(
-            curve.kind, np.zeros(0), np.zeros((0, values.shape[1])), values[k], begin[None], end[None], values[k + 1]
-        )
-    return with_spans(curve, made)
+    chosen = np.array([k for k in spans if not held[k]], np.intp)
+    if bow and values.shape[1] == 3 and len(chosen):
+        # A parabola over the chord: its height is a quarter of the change of slope over the span.
+        lift = amount * 4.0 * bow * np.linalg.norm(chords, axis=-1)
+        leaving[chosen, 1] += lift[chosen]
+        coming[chosen + 1, 1] -= lift[chosen]
+    return hermite_spans(curve, chosen, leaving, coming)
 
 
 def _with_ancestors(skeleton: Skeleton, names: set[str]) -> set[str]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
-from math import pi, tan
+from math import ceil, log, pi, tan
 
 import numpy as np
 
 from keypose.arrays import Array
 from keypose.editing.selection import Selection, chosen_channels, chosen_keys, chosen_spans, with_curves
-from keypose.editing.spans import Span, difference, hermite_span, moved, rates, tangent_of, with_spans
+from keypose.editing.spans import Span, difference, hermite_span, hermite_spans, moved, rates, tangent_of, with_spans
 from keypose.errors import ShapeError
 from keypose.math import quat, spline
 from keypose.math.ease import Easing, easing
@@ -69,25 +70,15 @@ def slow_in_out(curve: Curve, keys: Iterable[int], slow_in: float = 1.0, slow_ou
     chosen[list(keys)] = True
     leaving[chosen] *= 1.0 - slow_out
     coming[chosen] *= 1.0 - slow_in
-    return _with_rates(curve, chosen, leaving, coming)
-
-
-def _with_rates(curve: Curve, chosen: Array, leaving: Array, coming: Array) -> Curve:
-    """Spans at chosen keys as HERMITE with these rates."""
-    found: dict[int, Span] = {}
-    for k in range(curve.key_count - 1):
-        if (chosen[k] or chosen[k + 1]) and curve.modes[k] != Interpolation.STEP:
-            ends = np.asarray(curve.values[k], np.float64), np.asarray(curve.values[k + 1], np.float64)
-            found[k] = hermite_span(
-                curve.kind, np.zeros(0), np.zeros(0), ends[0], leaving[k : k + 1], coming[k + 1 : k + 2], ends[1]
-            )
-    result = with_spans(curve, found)
-    if curve.kind is CurveKind.BOOLEAN:
+    if curve.kind is CurveKind.BOOLEAN or not np.any(chosen):
         return curve
-    types = np.array(result.tangent_types if result.tangent_types is not None else np.zeros((result.key_count, 2)))
-    level = [np.all(side == 0, axis=-1) for side in (coming, leaving)]
-    for side in (0, 1):
-        types[chosen & level[side], side] = Tangent.FLAT
+    modes = np.asarray(curve.modes[:-1])
+    result = hermite_spans(
+        curve, np.nonzero((chosen[:-1] | chosen[1:]) & (modes != Interpolation.STEP))[0], leaving, coming
+    )
+    types = np.zeros((curve.key_count, 2), np.uint8) if result.tangent_types is None else np.array(result.tangent_types)
+    for side, rate in enumerate((coming, leaving)):
+        types[chosen & np.all(rate == 0, axis=-1), side] = Tangent.FLAT
     return replace(result, tangent_types=types)
 
 
@@ -161,7 +152,7 @@ def _span(curve: Curve, k: int, shape: Easing, tolerance: float) -> tuple[Span, 
             ),
             size * _bezier_error(shape, u, y, out, back),
         )
-    u, y, begins, ends, error = _parts(shape, tolerance, step if curve.kind is CurveKind.ROTATION else None)
+    u, y, begins, ends, error = _parts(shape, tolerance, _rounded_up(step) if curve.kind is CurveKind.ROTATION else 0.0)
     values = moved(curve.kind, start, y[1:-1, None] * step)
     rate = step / span_s
     begins, ends = begins[:, None] * rate, ends[:, None] * rate
@@ -212,12 +203,20 @@ def _bezier_error(shape: Easing, u: Array, y: Array, out: Array, back: Array) ->
     return float(np.abs(component(y[:-1], out[:, 1], back[:, 1], y[1:]) - shape(x)).max())
 
 
-def _parts(shape: Easing, tolerance: float, turn: Array | None) -> tuple[Array, Array, Array, Array, float]:
+def _rounded_up(turn: Array) -> float:
+    """Half the angle of a turn, rounded up by at most a tenth, so that turns of about one size share their parts."""
+    size = float(np.linalg.norm(turn))
+    return 1.1 ** ceil(log(max(size, 1e-4), 1.1))
+
+
+@lru_cache(maxsize=1024)
+def _parts(shape: Easing, tolerance: float, half_turn: float) -> tuple[Array, Array, Array, Array, float]:
     """Places u, values there, slopes at both ends of each part, and the error of cubics with them, as a share of the change.
 
-    A part is halved until the cubic follows the easing within the tolerance; of rotations (``turn`` is the half-angle vector of
-    the whole change) the cubic is one of quaternions.
+    A part is halved until the cubic follows the easing within the tolerance. Of rotations the cubic is one of quaternions, and
+    how well it follows depends on the angle of the whole turn; ``half_turn`` is half of it in radians, 0 for other values.
     """
+    turn = np.array([half_turn, 0.0, 0.0])
     edges = [*(p.start for p in shape.pieces), 1.0]
     todo = [(a, b, 0) for a, b in pairwise(edges)]
     done: dict[float, tuple[float, float, float, float]] = {}
@@ -230,11 +229,12 @@ def _parts(shape: Easing, tolerance: float, turn: Array | None) -> tuple[Array, 
         slopes = [float(shape.slope(u[0])), float(shape.slope(u[1], from_left=True))]
         begin, end = (float(np.clip(s, -steepest, steepest)) if np.isinf(s) else s for s in slopes)
         wanted = shape(a + _PLACES * (b - a))
-        if turn is None:
+        if half_turn == 0:
             found = spline.hermite(y[:1], [begin], y[1:], [end], _PLACES, b - a)[:, 0]
             error = float(np.abs(found - wanted).max())
         else:
-            error = _rotation_error(turn, y, (begin, end), wanted, b - a)
+            # The turns that share these parts are up to a tenth smaller.
+            error = max(_rotation_error(t, y, (begin, end), wanted, b - a) for t in (turn, turn / 1.1))
         if depth < _MOST_HALVINGS and error > tolerance:
             middle = 0.5 * (a + b)
             todo += [(a, middle, depth + 1), (middle, b, depth + 1)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil, cos, exp, pi, sin, sqrt
+from math import ceil, pi, sqrt
 
 import numpy as np
 
@@ -82,16 +82,19 @@ def follow_through(
     parents = [int(p) for p in skeleton.parents]
     # Springs that pull towards the lagging parent, in a row, would shake each other up; the clip's own pose does not.
     wanted, model = np.empty_like(local), np.empty_like(local)
-    late = set(order)
     for j in range(skeleton.joint_count):
         above = parents[j]
         wanted[:, j] = local[:, j] if above < 0 else quat.multiply(wanted[:, above], local[:, j])
-        model[:, j] = local[:, j] if above < 0 else quat.multiply(model[:, above], local[:, j])
-        if j in late:
-            looser = loosen ** places[skeleton.names[j]]
-            swung = _sprung(wanted[:, j], 1.0 / rate, frequency_hz * looser, damping)
-            model[:, j] = quat.slerp(wanted[:, j], swung, drag)
-            local[:, j] = model[:, j] if above < 0 else quat.multiply(quat.conjugate(model[:, above]), model[:, j])
+    looser = np.array([loosen ** places[skeleton.names[j]] for j in order])
+    swung = _sprung(wanted[:, order], 1.0 / rate, frequency_hz * looser, damping)
+    seen = dict(zip(order, np.moveaxis(quat.slerp(wanted[:, order], swung, drag), 1, 0), strict=True))
+    for j in range(skeleton.joint_count):
+        above = parents[j]
+        if j in seen:
+            model[:, j] = seen[j]
+            local[:, j] = seen[j] if above < 0 else quat.multiply(quat.conjugate(model[:, above]), seen[j])
+        else:
+            model[:, j] = local[:, j] if above < 0 else quat.multiply(model[:, above], local[:, j])
     made = {
         Channel(skeleton.names[j], Property.ROTATION): Curve(
             times, quat.align_signs(quat.normalize(local[:, j])), Interpolation.LINEAR, kind=CurveKind.ROTATION
@@ -127,21 +130,20 @@ def _steps_down(skeleton: Skeleton, joints: tuple[str, ...]) -> dict[str, int]:
     return found
 
 
-def _sprung(wanted: Array, dt_s: float, frequency_hz: float, damping: float) -> Array:
-    """Orientations (T, 4) that a damped spring pulls towards wanted ones, from rest at the first."""
-    here, velocity = wanted[0], np.zeros(3)
+def _sprung(wanted: Array, dt_s: float, frequency_hz: Array, damping: float) -> Array:
+    """Orientations (T, J, 4) that damped springs of J frequencies pull towards wanted ones, from rest at the first."""
+    here, velocity = wanted[0], np.zeros((*wanted.shape[1:-1], 3))
     found = np.empty_like(wanted)
     found[0] = here
-    natural = 2 * pi * frequency_hz
+    natural = 2 * pi * np.asarray(frequency_hz)[:, None]
     # x'' + 2 d w x' + w² x = 0 over one step, as a matrix on (x, x').
-    decay = exp(-damping * natural * dt_s)
+    decay = np.exp(-damping * natural * dt_s)
     if damping < 1 - 1e-6:
         swing = natural * sqrt(1 - damping * damping)
-        c, s = cos(swing * dt_s), sin(swing * dt_s) / swing
+        c, s = np.cos(swing * dt_s), np.sin(swing * dt_s) / swing
     elif damping > 1 + 1e-6:
         swing = natural * sqrt(damping * damping - 1)
-        c = 0.5 * (exp(swing * dt_s) + exp(-swing * dt_s))
-        s = 0.5 * (exp(swing * dt_s) - exp(-swing * dt_s)) / swing
+        c, s = np.cosh(swing * dt_s), np.sinh(swing * dt_s) / swing
     else:
         c, s = 1.0, dt_s
     stay = decay * (c + damping * natural * s), decay * s

@@ -43,8 +43,9 @@ def anticipate(curve: Curve, spans: Iterable[int], amount: float = 0.15, lead_s:
     if lead_s <= 0:
         raise ShapeError(f"lead_s: expected more than 0 seconds, got {lead_s}")
     _, coming = rates(curve)
+    steps, still_spans = _steps(curve)
     made: dict[int, Span] = {}
-    for k, start, end, step in _moves(curve, spans):
+    for k, start, end, step in _moves(curve, spans, still_spans, steps):
         span_s = float(curve.times_s[k + 1] - curve.times_s[k])
         at = float(curve.times_s[k]) + min(lead_s, 0.4 * span_s)
         back = moved(curve.kind, start, -amount * step)
@@ -80,11 +81,12 @@ def overshoot(
     if not 0.05 <= damping <= 0.95:
         raise ShapeError(f"damping: expected 0.05 (swings long) to 0.95 (hardly swings), got {damping}")
     leaving, _ = rates(curve)
+    steps, still_spans = _steps(curve)
     made: dict[int, Span] = {}
     tail: tuple[int, Array, Span] | None = None
-    for k, start, end, step in _moves(curve, spans):
+    for k, start, end, step in _moves(curve, spans, still_spans, steps):
         last = k + 1 == curve.key_count - 1
-        if not last and not _same(curve, k + 1, k + 2):
+        if not last and not still_spans[k + 1]:
             continue
         room = np.inf if last else float(curve.times_s[k + 2] - curve.times_s[k + 1])
         times, places, speeds = _swing(frequency_hz, damping, room)
@@ -129,8 +131,9 @@ def moving_hold(curve: Curve, spans: Iterable[int], amount: float = 0.04) -> Cur
     values = np.array(curve.values, np.float64)
     made: dict[int, Span] = {}
     leaving, coming = rates(curve)
+    _, still_spans = _steps(curve)
     for k in sorted({int(k) for k in spans}):
-        if not 0 < k < curve.key_count - 1 or curve.kind is CurveKind.BOOLEAN or not _same(curve, k, k + 1):
+        if not 0 < k < curve.key_count - 1 or curve.kind is CurveKind.BOOLEAN or not still_spans[k]:
             continue
         step = difference(curve.kind, values[k - 1], values[k])
         if not np.any(step):
@@ -238,7 +241,15 @@ def _tweened(curve: Curve, keys: Array, favour: float) -> Curve:
 # --- parts --------------------------------------------------------------------------------------------------------------------
 
 
-def _moves(curve: Curve, spans: Iterable[int]) -> Iterable[tuple[int, Array, Array, Array]]:
+def _steps(curve: Curve) -> tuple[Array, Array]:
+    """Differences (K - 1, D) from each key to the next, and whether they are none (K - 1,)."""
+    values = np.asarray(curve.values, np.float64)
+    steps = difference(curve.kind, values[:-1], values[1:])
+    whole = 1.0 if curve.kind is CurveKind.ROTATION else float(np.ptp(values, axis=0).max())
+    return steps, np.abs(steps).max(axis=-1, initial=0.0) <= _STILL * whole
+
+
+def _moves(curve: Curve, spans: Iterable[int], still: Array, steps: Array) -> Iterable[tuple[int, Array, Array, Array]]:
     """Key, start, end and difference of those of the spans whose ends differ."""
     if curve.kind is CurveKind.BOOLEAN:
         return
@@ -246,15 +257,8 @@ def _moves(curve: Curve, spans: Iterable[int]) -> Iterable[tuple[int, Array, Arr
     for k in sorted({int(k) for k in spans}):
         if not 0 <= k < curve.key_count - 1:
             raise ShapeError(f"spans: expected numbers from 0 to {curve.key_count - 2}, got {k}")
-        if not _same(curve, k, k + 1) and curve.modes[k] != Interpolation.STEP:
-            yield k, values[k], values[k + 1], difference(curve.kind, values[k], values[k + 1])
-
-
-def _same(curve: Curve, a: int, b: int) -> bool:
-    values = np.asarray(curve.values, np.float64)
-    step = difference(curve.kind, values[a], values[b])
-    whole = 1.0 if curve.kind is CurveKind.ROTATION else float(np.ptp(values, axis=0).max())
-    return float(np.abs(step).max()) <= _STILL * whole
+        if not still[k] and curve.modes[k] != Interpolation.STEP:
+            yield k, values[k], values[k + 1], steps[k]
 
 
 def _swing(frequency_hz: float, damping: float, room_s: float) -> tuple[Array, Array, Array]:

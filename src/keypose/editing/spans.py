@@ -168,6 +168,36 @@ def with_spans(curve: Curve, spans: Mapping[int, Span]) -> Curve:
     )
 
 
+def hermite_spans(curve: Curve, spans: Array, leaving: Array, coming: Array) -> Curve:
+    """The curve with spans (indices of the keys that start them) made smooth, with rates (K, D) per second at all keys' sides.
+
+    ``leaving`` counts at the start of a span, ``coming`` at its end; keys stay (rotations get signs as `with_spans` gives).
+    """
+    spans = np.asarray(spans, np.intp)
+    if len(spans) == 0:
+        return curve
+    curve = _aligned(curve)
+    values = np.asarray(curve.values, np.float64)
+    out, back = (
+        np.zeros(values.shape) if side is None else np.array(side, np.float64)
+        for side in (curve.out_tangents, curve.in_tangents)
+    )
+    out[spans] = tangent_of(curve.kind, values[spans], leaving[spans])
+    back[spans + 1] = tangent_of(curve.kind, values[spans + 1], coming[spans + 1])
+    modes = np.array(curve.modes)
+    modes[spans] = Interpolation.HERMITE
+    types = np.zeros((curve.key_count, 2), np.uint8) if curve.tangent_types is None else np.array(curve.tangent_types)
+    types[spans, 1] = types[spans + 1, 0] = Tangent.FREE
+    precision = np.asarray(curve.values).dtype
+    return replace(
+        curve,
+        modes=modes,
+        out_tangents=out.astype(precision),
+        in_tangents=back.astype(precision),
+        tangent_types=types if curve.tangent_types is not None else None,
+    )
+
+
 def _aligned(curve: Curve) -> Curve:
     """Signs of rotations, and of their tangents, with which neighbours lie on the short side of each other."""
     if curve.kind is not CurveKind.ROTATION:
