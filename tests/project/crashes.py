@@ -20,7 +20,7 @@ from keypose.project.commands import AddCharacter, apply_all
 from keypose.project.disk import Disk
 from keypose.project.file import load
 from keypose.project.journal import digest_of
-from keypose.project.workspace import Workspace
+from keypose.project.workspace import UNTITLED, Workspace
 from tests.project.edits import random_commands, small_character
 
 
@@ -55,7 +55,7 @@ def session(
     workspace: Workspace, folder: Path, rng: np.random.Generator, say: Callable[[str], None], steps: int
 ) -> None:
     """Random edits, undos, redos and saves."""
-    if not workspace.document.characters:
+    if workspace.document.name == UNTITLED:
         workspace.begin(AddCharacter(small_character()).apply(Document("crash")))
     for _ in range(steps):
         history, what = workspace.history, rng.random()

@@ -12,7 +12,7 @@ import pytest
 
 from keypose.project import workspace as w
 from keypose.project.workspace import Workspace
-from tests.project.crashes import Killed, Said, StoppingDisk, check_crash, session
+from tests.project.crashes import Killed, Said, StoppingDisk, check_crash, session, state_of
 from tests.project.kill import kill_many
 
 STEPS = 10
@@ -51,6 +51,8 @@ def crash(
     # the next start takes over, goes on, and is ended once more
     again = StoppingDisk(power=disk.power)
     workspace = check_crash(said, folder, state, again, locking=False)
+    if workspace.document.name != w.UNTITLED:  # what is shown after recovery is promised as well
+        said.ok = state_of(workspace.document)
     again.budget = again.used + int(rng.integers(1, 20_000))
     try:
         session(workspace, folder, rng, said.hear, 4)

@@ -90,15 +90,18 @@ def _framed(fields: dict[str, Any], arrays: Mapping[str, Array]) -> bytes:
 
 
 class Journal:
-    """A journal that is being written. `write` hands a record to the system, `sync` waits until it cannot be lost."""
+    """A journal that is being written. `write` hands a record to the system, `sync` waits until it cannot be lost.
 
-    def __init__(self, disk: Disk, path: Path, size: int) -> None:
+    One that was found is cut to its good ``size`` and goes on from there; ``safe`` says that so much survives already.
+    """
+
+    def __init__(self, disk: Disk, path: Path, size: int, *, safe: bool = False) -> None:
         self.path = path
         self.broken = False
         """Whether something failed, so that a new journal has to take its place."""
         self._disk = disk
         self._handle: int | None = disk.reopen(path, size)
-        self._size = self._synced = size
+        self._size, self._synced = size, size if safe else 0
         self._syncing = threading.Lock()
 
     @classmethod
@@ -106,7 +109,7 @@ class Journal:
         """A journal of these records, the first its beginning; it is there whole or not at all, and safe on return."""
         data = b"".join([MAGIC, *records])
         write_whole(disk, path, data, 0o600)
-        return cls(disk, path, len(data))
+        return cls(disk, path, len(data), safe=True)
 
     @property
     def size(self) -> int:

@@ -274,6 +274,8 @@ class Workspace:
             if held.path and held.path != self.path:
                 file_lock = self._lock_file(Path(held.path))
             journal = j.Journal(self._disk, path, held.size)
+            journal.sync()  # what is shown now is promised, too
+            self._disk.sync_folder(path.parent)
         except BaseException:
             _release(file_lock)
             _release(lock)
