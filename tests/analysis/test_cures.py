@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from keypose.deform import deform_part
 from keypose.errors import ShapeError
 from keypose.evaluate import bake, sample, sample_morphs, to_clip, world
 from keypose.model import Clip, ForcePlate, Interpolation, Markers, Motion, Scene, Signals
+from tests.conftest import ROOT
 
 
 @pytest.fixture(scope="module", params=["motion", "linear", "hermite"])
@@ -118,3 +120,8 @@ def test_the_cured_scene_is_written_and_read(scene: Scene, tmp_path: Path) -> No
     io.save(Scene(cured.characters, cured.animations), tmp_path / "a.glb")
     back = io.load(tmp_path / "a.glb")
     assert scene_error(Scene(cured.characters, cured.animations), back).within(2e-3, 2e-3)
+
+
+def test_the_page_on_checking() -> None:
+    result = doctest.testfile(str(ROOT / "docs" / "check.md"), module_relative=False, encoding="utf-8")
+    assert result.attempted and not result.failed
