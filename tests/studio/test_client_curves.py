@@ -34,9 +34,14 @@ const operations = {
   refresh: (c) => ({ curve: keys.refreshTangents(c) }),
   insert: (c, { time }) => keys.insertKey(c, time),
   transform: (c, { indices, transform, masks }) => keys.transformKeys(c, Uint32Array.from(indices), transform, masks && Uint8Array.from(masks)),
-  twice: (c, { indices, transform }) => {
-    const own = Uint32Array.from(indices), first = keys.transformKeys(c, own, transform).curve;
-    return keys.transformKeys(c, own, transform, null, first);
+  chain: (c, { indices, transforms }) => {
+    const made = [null, null];
+    let last;
+    for (const transform of transforms) {
+      last = keys.transformKeys(c, Uint32Array.from(indices), transform, null, made.at(-2));
+      made.push(last.curve === c ? null : last.curve);
+    }
+    return { curve: keys.compact(last.curve), indices: last.indices };
   },
   retime: (c, { indices, rate }) => keys.retimeKeys(c, Uint32Array.from(indices), (t) => Math.round(t * rate) / rate),
   duplicate: (c, { indices, shift }) => keys.duplicateKeys(c, Uint32Array.from(indices), shift),
@@ -307,11 +312,17 @@ def test_a_moved_key_that_lands_on_another_takes_its_place(program: Path) -> Non
 
 def test_memory_of_a_picture_before_is_no_part_of_the_result(program: Path, rng: np.random.Generator) -> None:
     curve = random_curve(rng, CurveKind.VECTOR, Interpolation.BEZIER, types=np.full((9, 2), Tangent.CLAMPED))
-    for shift in (0.01, 1.1):
-        transform = {**STILL, "shiftTime": shift, "shiftValue": 0.5}
-        (fresh, _), (again, _) = (
-            one(program, curve, name, indices=[2, 3, 6], transform=transform) for name in ("transform", "twice")
-        )
+    transforms = [
+        {**STILL, "scaleTime": scale, "shiftTime": shift, "shiftValue": value}
+        for scale, shift, value in rng.permutation(
+            [[1, 0, 0.5], [1, 0.01, 0], [1, 1.1, 0.3], [-1, 2.0, 0], [1, 0, -0.5], [0, 1.0, 0], [0.5, 0, 0], [1, 0, 0]]
+            * 3
+        ).tolist()
+    ]
+    for count in range(1, len(transforms) + 1):
+        fresh, places = one(program, curve, "transform", indices=[2, 3, 6], transform=transforms[count - 1])
+        again, same = one(program, curve, "chain", indices=[2, 3, 6], transforms=transforms[:count])
+        assert places == same
         for name in ("times_s", "values", "modes", "in_handles", "out_handles", "tangent_types"):
             assert np.array_equal(getattr(fresh, name), getattr(again, name)), name
 

@@ -55,7 +55,7 @@ type Numbers = Float64Array | Uint8Array;
 
 function rows<A extends Numbers>(array: A, indices: ArrayLike<number>, width: number, spare?: A | null): A {
   const count = indices.length;
-  const out = spare && spare !== array && spare.length === count * width ? spare : new (array.constructor as new (n: number) => A)(count * width);
+  const out = fitting(array, count * width, spare);
   for (let n = 0; n < count; ) {
     // keys in a row are copied at once
     let end = n + 1;
@@ -66,8 +66,40 @@ function rows<A extends Numbers>(array: A, indices: ArrayLike<number>, width: nu
   return out;
 }
 
+/** An array of so many numbers, in the memory of `spare` where that is large enough. */
+function fitting<A extends Numbers>(like: A, length: number, spare: A | null | undefined): A {
+  const make = like.constructor as { new (n: number): A; new (buffer: ArrayBufferLike, at: number, n: number): A };
+  if (!spare || spare.buffer.byteLength < length * like.BYTES_PER_ELEMENT) return new make(length);
+  return spare.length === length ? spare : new make(spare.buffer, 0, length);
+}
+
+const ARRAYS = ["times", "values", "modes", "inTangents", "outTangents", "inHandles", "outHandles", "types"] as const;
+/** Arrays that may be written again. */
+type Spare = { -readonly [Field in (typeof ARRAYS)[number]]?: EditCurve[Field] };
+
+/** The arrays of a curve that nobody looks at any more, without those that it shares with one that somebody does. */
+function spareOf(old: EditCurve | null, curve: EditCurve): Spare | null {
+  if (!old) return null;
+  const out: Record<string, Numbers> = {};
+  for (const name of ARRAYS) {
+    const array = old[name];
+    if (array && array.buffer !== curve[name]?.buffer) out[name] = array;
+  }
+  return out as Spare;
+}
+
+/** The same curve with arrays that hold no more memory than they need. */
+export function compact(curve: EditCurve): EditCurve {
+  const out: Draft = { ...curve };
+  for (const name of ARRAYS) {
+    const array = curve[name];
+    if (array && array.buffer.byteLength !== array.byteLength) (out as Record<string, unknown>)[name] = array.slice();
+  }
+  return out;
+}
+
 /** Only these keys (indices in increasing order), as a curve of their own; null of none. */
-export function pick(curve: EditCurve, indices: ArrayLike<number>, spare: EditCurve | null = null): EditCurve | null {
+export function pick(curve: EditCurve, indices: ArrayLike<number>, spare: Spare | null = null): EditCurve | null {
   if (indices.length === 0) return null;
   const width = curve.components;
   const of = <A extends Numbers>(array: A | null, size: number, into: A | null | undefined) => array && rows(array, indices, size, into);
@@ -84,26 +116,16 @@ export function pick(curve: EditCurve, indices: ArrayLike<number>, spare: EditCu
   };
 }
 
-const scratch = new Map<string, Draft>();
+const scratch = new Map<string, Spare>();
 
 /** Memory for what lasts no longer than one operation, for curves of this shape. */
-function scratchFor(curve: EditCurve): Draft {
+function scratchFor(curve: EditCurve): Spare {
   const shape = `${curve.times.length}/${curve.components}`;
   let found = scratch.get(shape);
   if (!found) {
     if (scratch.size > 64) scratch.clear();
     const numbers = curve.values.length, half = () => new Float64Array(numbers), whole = () => new Float64Array(2 * numbers);
-    found = {
-      ...curve,
-      times: new Float64Array(curve.times.length),
-      values: half(),
-      modes: new Uint8Array(0),
-      types: null,
-      inTangents: half(),
-      outTangents: half(),
-      inHandles: whole(),
-      outHandles: whole(),
-    };
+    found = { times: new Float64Array(curve.times.length), values: half(), inTangents: half(), outTangents: half(), inHandles: whole(), outHandles: whole() };
     scratch.set(shape, found);
   }
   return found;
@@ -111,9 +133,9 @@ function scratchFor(curve: EditCurve): Draft {
 
 /** A copy that may be written; in the memory of `spare` where that fits. */
 function copied<A extends Numbers>(array: A, spare: A | null | undefined): A {
-  if (!spare || spare === array || spare.length !== array.length) return array.slice() as A;
-  (spare as Float64Array).set(array);
-  return spare;
+  const out = fitting(array, array.length, spare);
+  (out as Float64Array).set(array as Float64Array);
+  return out;
 }
 
 const sliced = <A extends Numbers>(array: A | null, spare?: A | null): A | null => array && copied(array, spare);
@@ -255,14 +277,15 @@ export function transformKeys(curve: EditCurve, indices: Uint32Array, transform:
   const inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
   if (indices.length === 0 || (!inTime && !inValue)) return { curve, indices };
   const ordered = !inTime || (scaleTime > 0 && staysInOrder(curve.times, indices, scaleTime, shiftTime));
-  const draft = changed(curve, indices, transform, masks, ordered ? spare : scratchFor(curve));
-  if (!ordered) return rearranged(draft, indices, scaleTime < 0 ? indices.toReversed() : indices, scaleTime < 0, spare);
+  const own = spareOf(spare, curve);
+  const draft = changed(curve, indices, transform, masks, ordered ? own : scratchFor(curve));
+  if (!ordered) return rearranged(draft, indices, scaleTime < 0 ? indices.toReversed() : indices, scaleTime < 0, own);
   refreshAround(draft, indices);
   return { curve: draft, indices };
 }
 
 /** Put keys that have new times (`moved`, in the order of those) among the others, whose place they take. */
-function rearranged(draft: Draft, indices: Uint32Array, moved: ArrayLike<number>, backwards: boolean, spare: EditCurve | null = null): Keyed {
+function rearranged(draft: Draft, indices: Uint32Array, moved: ArrayLike<number>, backwards: boolean, spare: Spare | null = null): Keyed {
   if (backwards) turnSides(draft, indices);
   const { times } = draft, count = times.length;
   const order = new Uint32Array(count), places = new Uint32Array(moved.length);
@@ -329,7 +352,7 @@ function staysInOrder(times: Float64Array, indices: Uint32Array, scale: number, 
 }
 
 /** Keys with new times and values where they stand; only arrays that change are copied. */
-function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null, spare: EditCurve | null = null): Draft {
+function changed(curve: EditCurve, indices: Uint32Array, transform: Transform, masks: Uint8Array | null, spare: Spare | null = null): Draft {
   const { scaleTime, shiftTime, scaleValue, shiftValue } = transform;
   const width = curve.components, inTime = scaleTime !== 1 || shiftTime !== 0, inValue = scaleValue !== 1 || shiftValue !== 0;
   const sides = scaleTime !== 1 || scaleValue !== 1 || curve.types !== null;

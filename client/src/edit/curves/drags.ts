@@ -1,9 +1,8 @@
 // What can be dragged: keys (moved or scaled), handles, boxes, the view, the playhead, the range and markers. A drag shows
 // its result with `preview` while it lasts and makes one step of undo when it ends.
 
-import { keyFrom } from "../../anim/curve";
 import type { EditCurve, KeySelection } from "../contract";
-import { duplicateKeys, ripple, setHandle, STILL, transformKeys, type Keyed, type Transform } from "../keys";
+import { compact, duplicateKeys, ripple, setHandle, STILL, transformKeys, type Keyed, type Transform } from "../keys";
 import { affected, type Ranges } from "./graph-drawing";
 import { keysInBox, rowKeysInBox } from "./picking";
 import { combined, masksOf, withMasks, type How } from "./selection";
@@ -27,6 +26,8 @@ export interface Drag {
   /** Channels that change, with the keys whose spans do, and their curves from before. */
   readonly dragged?: ReadonlyMap<string, Ranges>;
   readonly base?: ReadonlyMap<string, EditCurve>;
+  /** The clip's times between which all dragged curves are drawn anew, once keys have passed others. */
+  readonly interval?: readonly [number, number] | null;
   readonly box?: Box | null;
   readonly removing?: boolean;
   /** Only along time (x) or value (y). */
@@ -67,6 +68,7 @@ abstract class KeyDrag implements Drag {
   private readonly spare = new Map<string, EditCurve>();
   protected readonly shapes = new Map<string, Shape>();
   private moved = false;
+  interval: [number, number] | null = null;
 
   constructor(
     protected readonly session: CurveSession,
@@ -90,7 +92,7 @@ abstract class KeyDrag implements Drag {
   protected show(transformOf: (key: string, held: Held) => Transform, of: (held: Held, transform: Transform, spare: EditCurve | null) => Keyed = defaultTransform): void {
     const { session } = this;
     const changes = new Map<string, EditCurve>(), selection = new Map(session.editor.selection);
-    let regrouped: Map<string, Ranges> | null = null;
+    let passing = false;
     for (const [key, held] of this.held) {
       // the picture before last is not shown any more, so its memory serves again
       const done = of(held, transformOf(key, held), this.spare.get(key) ?? null);
@@ -100,15 +102,25 @@ abstract class KeyDrag implements Drag {
       if (done.curve !== held.curve) changes.set(key, done.curve);
       const stays = same(done.indices, held.indices);
       selection.set(key, stays ? held.indices : withMasks(done.indices, done.indices.length === held.indices.length ? held.mask : null));
-      if (stays && done.curve.times.length === held.curve.times.length) continue;
-      // keys that pass others: all that they passed is drawn again from now on
-      const swept = sweep(held, done, this.dragged.get(key)!);
-      if (swept !== this.dragged.get(key)) (regrouped ??= new Map(this.dragged)).set(key, swept);
+      passing ||= !stays || done.curve.times.length !== held.curve.times.length;
     }
-    if (regrouped) this.dragged = regrouped;
+    if (passing || this.interval) this.interval = this.swept();
     this.moved = changes.size > 0;
     this.selection = selection;
     session.editor.preview(this.moved ? { curves: new Map([[session.editor.clip!.name, changes]]) } : null);
+  }
+
+  /** From the first to the last time at which any curve is another than before, now or in an earlier picture. */
+  private swept(): [number, number] {
+    let [from, to] = this.interval ?? [Infinity, -Infinity];
+    for (const [key, { curve, indices }] of this.held) {
+      const done = this.results.get(key)!;
+      for (const [{ times }, own] of [[curve, indices], [done.curve, done.indices]] as const) {
+        from = Math.min(from, times[Math.max(0, own[0] - 2)]);
+        to = Math.max(to, times[Math.min(times.length - 1, own[own.length - 1] + 2)]);
+      }
+    }
+    return [from, to];
   }
 
   end(keep: boolean): void {
@@ -118,7 +130,7 @@ abstract class KeyDrag implements Drag {
       return;
     }
     const changes = new Map<string, EditCurve>();
-    for (const [key, { curve }] of this.results) if (curve !== this.base.get(key)) changes.set(key, curve);
+    for (const [key, { curve }] of this.results) if (curve !== this.base.get(key)) changes.set(key, compact(curve));
     const { selection } = this;
     editor.commit(this.label, { curves: new Map([[editor.clip!.name, changes]]) });
     editor.selection = selection;
@@ -127,15 +139,6 @@ abstract class KeyDrag implements Drag {
 }
 
 const defaultTransform = ({ curve, indices, mask }: Held, transform: Transform, spare: EditCurve | null) => transformKeys(curve, indices, transform, mask, spare);
-
-/** One range over all keys between the places where moved keys were and where they are; it only grows, and by leaps. */
-function sweep({ curve, indices }: Held, done: Keyed, known: Ranges): Ranges {
-  const { times } = curve, now = done.curve.times;
-  const from = Math.min(times[indices[0]], now[done.indices[0]]), to = Math.max(times[indices[indices.length - 1]], now[done.indices[done.indices.length - 1]]);
-  const first = Math.max(0, keyFrom(times, from) - 3), last = Math.min(times.length - 1, keyFrom(times, to) + 3);
-  if (known.length === 1 && known[0][0] <= first && known[0][1] >= last) return known;
-  return [[Math.max(0, Math.min(known[0][0], first) - 8), Math.min(times.length - 1, Math.max(known[known.length - 1][1], last) + 8)]];
-}
 
 /** The active key, after its curve's keys moved. */
 function followed(active: CurveSession["active"], results: ReadonlyMap<string, Keyed>, held: ReadonlyMap<string, Held>): CurveSession["active"] {

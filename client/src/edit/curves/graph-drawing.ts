@@ -74,8 +74,11 @@ export interface GraphScene {
   readonly hovered: string;
 }
 
-/** Lines and keys at rest. Of channels that are being dragged only what stays as it is, and a ghost of the rest. */
-export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges> | null): void {
+/**
+ * Lines and keys at rest. Of channels that are being dragged a ghost of what moves, and what stays as it is, unless that
+ * has a picture of its own (`apart`).
+ */
+export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges> | null, apart = false): void {
   const { view, colors, shapes, selection, locked, muted } = scene;
   const many = shapes.length > 60, { hair, plain, bold } = widths(scene);
   for (const shape of shapes) {
@@ -100,7 +103,7 @@ export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<st
       c.translate(-dx, -dy);
       continue;
     }
-    const parts = complement(moving, curve.times.length - 1);
+    const parts = apart ? [] : complement(moving, curve.times.length - 1);
     c.beginPath();
     for (const [from, to] of parts) part(c, shape, view, from, to);
     c.stroke();
@@ -137,22 +140,26 @@ function dots(c: Context, { curve, line, factor, offset }: Shape, view: View, fr
   }
 }
 
-/** What a drag changes: the moved spans, as the curves are now. */
-export function drawMoved(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges>, base: ReadonlyMap<string, EditCurve>): void {
+/** The lines of channels that are being dragged, as they were: what keys pass is cut out of this picture. */
+export function drawBase(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges>): void {
+  drawLines(c, { ...scene, shapes: scene.shapes.filter((s) => dragged.has(s.line.channel)) }, null);
+}
+
+/** What a drag changes: the moved spans or, once keys have passed others, everything in an interval of the clip's time. */
+export function drawMoved(c: Context, scene: GraphScene, dragged: ReadonlyMap<string, Ranges>, interval: readonly [number, number] | null): void {
   const { view, colors, shapes } = scene;
   const { bold } = widths(scene);
   for (const shape of shapes) {
     const { line, curve } = shape;
-    const ranges = dragged.get(line.channel);
-    if (!ranges) continue;
+    const own = dragged.get(line.channel);
+    if (!own) continue;
+    const ranges = interval ? [visibleKeys(curve, interval[0], interval[1])] : own;
     c.strokeStyle = c.fillStyle = paint(colors, line.hue);
     c.lineWidth = bold;
-    // keys that fell together are gone from the range, which is then the only one
-    const gone = (base.get(line.channel)?.times.length ?? curve.times.length) - curve.times.length;
     c.beginPath();
-    for (const [from, to] of ranges) part(c, shape, view, from, to - gone);
+    for (const [from, to] of ranges) part(c, shape, view, from, to);
     c.stroke();
-    for (const [from, to] of ranges) dots(c, shape, view, from, to - gone);
+    for (const [from, to] of ranges) dots(c, shape, view, from, to);
   }
 }
 
