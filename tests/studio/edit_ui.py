@@ -37,14 +37,16 @@ class EditUi:
         self.page.evaluate(
             """(character) => {
               const { editor, project, studio } = keypose;
-              project.dialog = project.guarded = null; studio.toasts = []; studio.help = false; studio.pause();
+              project.dialog = project.guarded = project.notSaved = null; studio.toasts = []; studio.help = false; studio.pause();
               editor.autoKey = false; editor.snap = true; editor.query = ""; editor.seek(0); editor.perform();
               studio.connection.send({ type: "project_new", name: "Test", character, discard: true });
             }""",
             character,
         )
+        self.page.set_viewport_size({"width": 1280, "height": 720})
         self.studio.until(lambda: self.state()["name"] == "Test" and self.state()["revision"] == 0, "a new project")
         self.arrived()
+        self.tab("joint")
 
     def arrived(self) -> None:
         """Wait until the project's characters stand on the stage."""

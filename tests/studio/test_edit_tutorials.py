@@ -137,9 +137,9 @@ def test_a_waving_character(visit: Visit, start: Start, tmp_path: Path) -> None:
     # the forearm waves: three keys, and then again and again
     ui.select("RightForeArm")
     ui.test_id("auto-key").click()
-    for frame, angle in ((12, -65), (17, -110), (22, -65)):
+    for frame, turn in ((12, -65), (17, -110), (22, -65)):
         ui.frame(frame)
-        ui.type("euler-2", angle)
+        ui.type("euler-2", turn)
     ui.test_id("auto-key").click()
     ui.frame(0)
     assert ui.test_id("dot-euler").get_attribute("data-state") == "key"
@@ -163,9 +163,9 @@ def test_a_waving_character(visit: Visit, start: Start, tmp_path: Path) -> None:
     ui.frame(10)
     ui.key("Rotation")
     ui.test_id("auto-key").click()
-    for frame, angle in ((20, 20), (30, 0)):
+    for frame, turn in ((20, 20), (30, 0)):
         ui.frame(frame)
-        ui.type("euler-0", angle)
+        ui.type("euler-0", turn)
     ui.tab("clip")
     ui.drag("[data-testid=influence]", (0, 0))  # a click in the middle of the slider
     layer = ui.state()["timeline"]["layers"][1]

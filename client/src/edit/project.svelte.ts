@@ -105,8 +105,10 @@ export class Project implements Link {
     if (!same || state.status.redo === "") this.future = [];
     this.settle("");
     editor.take(this.document, same);
-    if (!this.offered && state.recoverable.length > 0 && this.document.characters.length === 0) this.dialog = "recover";
-    this.offered = true;
+    if (!this.offered && state.recoverable.length > 0 && this.document.characters.length === 0) {
+      this.dialog = "recover";
+      this.offered = true;
+    }
   }
 
   private change(change: ProjectChanged, container: Container<Envelope>): void {
