@@ -7,6 +7,7 @@ of the two documents, in order, whether it came of an edit, of undo or of an ope
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import itertools
 import os
 from collections.abc import Awaitable, Callable
@@ -41,7 +42,11 @@ from keypose.studio.payload import encode
 if TYPE_CHECKING:
     from keypose.studio.session import Session
 
-EXPORTS = ("keypose", "glb", "fbx", "bvh", "dae")
+
+def exports() -> list[str]:
+    """Formats that a project can be written as here, by suffix."""
+    usd = ["usdz"] if importlib.util.find_spec("pxr") else []
+    return ["keypose", "glb", "fbx", "bvh", "dae", *usd]
 
 
 class Editing:
@@ -167,8 +172,8 @@ class Editing:
         Raises:
             KeyposeError: where the format cannot hold it, or it names what is not there.
         """
-        if kind not in EXPORTS:
-            raise UnknownName("export", kind[:20], EXPORTS)
+        if kind not in exports():
+            raise UnknownName("export", kind[:20], exports())
         document = self.workspace.document
         if kind == "keypose":
             return await asyncio.to_thread(document_bytes, document)
@@ -316,7 +321,7 @@ class Editing:
             characters=await self._characters(),
             recoverable=await self.recoverable(),
             operators=[spec.name for spec in await asyncio.to_thread(operator_specs)],
-            exports=list(EXPORTS),
+            exports=exports(),
             folder=str(Path.cwd()),
             **await asyncio.to_thread(document_fields, self.workspace.document, storing(body)),
         )
