@@ -88,13 +88,11 @@ def trajectory_deformation(
     strain = stretch * 2.0 * speed**2 / (1.0 + speed**2)
     axes = _directions(velocity, 1e-3 * fastest)
     for contact in contacts:
-        weight = _ramp(times, contact, contact_s)
-        strain = (1 - weight) * strain - weight * squash * contact.strength
+        weight, touching = _ramps(times, contact, contact_s)
+        # While it touches it is not stretched, and the axis is the one that it is flat along.
+        strain = (1 - touching) * strain - weight * squash * contact.strength
         side = np.where(axes @ contact.normal < 0, -1.0, 1.0)[:, None]
-        # While it is flat, it is flat on what it touches: the axis has turned before the strain changes its sign.
-        touching = np.clip(weight / 0.25, 0.0, 1.0)
-        touching = (touching * touching * (3 - 2 * touching))[:, None]
-        turned = (1 - touching) * side * axes + touching * contact.normal
+        turned = (1 - touching)[:, None] * side * axes + touching[:, None] * contact.normal
         length = np.linalg.norm(turned, axis=-1, keepdims=True)
         axes = np.where(length > 1e-9, turned / np.where(length > 1e-9, length, 1.0), axes)
     return Deformation(times, strain, axes, np.array([0.5 * (c.start_s + c.end_s) for c in contacts]))
@@ -224,16 +222,17 @@ def _contacts(times: Array, parts: Array, fastest: float, breaks: Array) -> list
     return contacts
 
 
-def _ramp(times: Array, contact: _Contact, contact_s: float) -> Array:
-    """1 in the middle of a contact, 0 from a little before it until a little after it, smoothly."""
-    middle = 0.5 * (contact.start_s + contact.end_s)
+def _ramps(times: Array, contact: _Contact, contact_s: float) -> tuple[Array, Array]:
+    """How flat it is, 1 in the middle of a contact, and whether it touches, 1 all through it; both come and go smoothly."""
+    middle, half = 0.5 * (contact.start_s + contact.end_s), 0.5 * (contact.end_s - contact.start_s)
     # Something that stays on the ground is squashed there; what only touches it must begin before.
-    reach = contact_s if contact.end_s == contact.start_s else 0.35 * contact_s
-    half = 0.5 * (contact.end_s - contact.start_s) + reach
-    if half <= 0:
-        return np.zeros(len(times))
-    u = np.clip(1.0 - np.abs(times - middle) / half, 0.0, 1.0)
-    return u * u * (3 - 2 * u)
+    reach = contact_s if half == 0 else 0.5 * contact_s
+    if reach <= 0 and half == 0:
+        return np.zeros(len(times)), np.zeros(len(times))
+    away = np.abs(times - middle)
+    flat = np.clip(1.0 - away / (half + reach), 0.0, 1.0)
+    touching = np.clip(1.0 - (away - half) / max(reach, 1e-9), 0.0, 1.0)
+    return flat * flat * (3 - 2 * flat), touching * touching * (3 - 2 * touching)
 
 
 def _directions(velocity: Array, least: float) -> Array:
