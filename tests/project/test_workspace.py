@@ -170,6 +170,21 @@ def test_saving_asks_before_it_overwrites_what_is_not_its_own(work: Workspace, t
     assert (tmp_path / "walk.glb.keypose").exists(), "a project is never written under another format's name"
 
 
+def test_a_link_to_its_own_file_is_its_own_file(work: Workspace, tmp_path: Path) -> None:
+    save(Document("p"), tmp_path / "p.keypose")
+    (tmp_path / "link.keypose").symlink_to(tmp_path / "p.keypose")
+    work.open(tmp_path / "p.keypose")
+    edit(work, 1)
+    work.save(str(tmp_path / "link.keypose"))
+    assert document_bytes(load(tmp_path / "p.keypose")) == document_bytes(work.document)
+
+
+def test_what_no_file_could_hold_is_not_begun(work: Workspace) -> None:
+    with pytest.raises(KeyposeError, match="finite"):
+        work.begin(Document("p", settings={"zoom": float("nan")}))
+    assert work.document.name == "Untitled"
+
+
 def test_two_studios_do_not_write_one_project(work: Workspace, state: Path, tmp_path: Path) -> None:
     path = tmp_path / "p.keypose"
     save(Document("p"), path)

@@ -94,7 +94,11 @@ class Workspace:
         """Let a document that was never saved take the place of what is open.
 
         What was not saved stays recoverable, unless ``discard`` says that nobody wants it.
+
+        Raises:
+            KeyposeError: where no file could hold the document, so that nothing of it would be safe.
         """
+        document_bytes(checked(document))
         self.close(discard=discard)
         self._adopt(History(document), "", None, "")
         self._mark_saved()
@@ -200,7 +204,7 @@ class Workspace:
         if path is None and not self.path:
             raise NotSaved("failed", "", "the project has no file yet; say where to save it")
         target = project_path(self.path if path is None else path)
-        elsewhere = str(target) != self.path
+        elsewhere = not self.path or os.path.realpath(target) != os.path.realpath(self.path)
         lock: Lock | None = None
         try:
             lock = self._lock_file(target) if elsewhere else None
@@ -222,11 +226,10 @@ class Workspace:
                     self._journal.sync()
             remove_parts(self._disk, target)  # nobody else writes it: we have its lock
             write_whole(self._disk, target, data)
-        except NotSaved:
+        except BaseException as error:
             _release(lock)
-            raise
-        except (OSError, KeyposeError, ValueError) as error:
-            _release(lock)
+            if isinstance(error, NotSaved) or not isinstance(error, (OSError, KeyposeError, ValueError)):
+                raise
             what = getattr(error, "strerror", None) or str(error)
             raise NotSaved("failed", str(target), f"{target}: cannot be written: {what}") from None
         if elsewhere:

@@ -101,6 +101,7 @@ class Editing:
                 check_name(document.name, "project")
                 if character:
                     for one in (await self._scene(character)).characters:
+                        await self._entry(one)  # what cannot be shown is not added
                         document = AddCharacter(one).apply(document)
                 await asyncio.to_thread(workspace.begin, document, discard=discard)
                 await self._enter()
@@ -303,7 +304,8 @@ class Editing:
 
     async def _enter(self) -> None:
         """Another project is open: every page gets all of it."""
-        self._shown.clear()
+        used = {(id(who.skeleton), id(who.parts)) for who in self.workspace.document.characters.values()}
+        self._shown = {key: shown for key, shown in self._shown.items() if key in used}
         await self._send_state(self._watchers)
 
     def _allow(self, path: str) -> None:
