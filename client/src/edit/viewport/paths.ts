@@ -256,7 +256,8 @@ export class MotionPaths {
     const { position, color: colors, look } = path.dots.geometry.attributes as Record<string, THREE.BufferAttribute>;
     const rgb = colors.array as Float32Array, looks = look.array as Float32Array;
     for (let n = 0; n < count; n++) {
-      const here = Math.abs(times[n] - now) < 1e-6, key = isKey[n] === 1;
+      // keys on every frame that nobody can drag say nothing: ticks do, and let the speed be seen
+      const here = Math.abs(times[n] - now) < 1e-6, key = isKey[n] === 1 && (path.keys.draggable || !path.dense);
       const hot = this.hovered?.joint === path.joint && Math.abs(this.hovered.time - times[n]) < SAME;
       (key ? color.copy(hot ? palette.hover : palette.accent) : here ? color.copy(palette.overlayBone) : shade(n).lerp(palette.overlayBone, 0.35)).toArray(rgb, 3 * n);
       looks[2 * n] = key ? (hot ? 13 : path.dense ? 6 : path.keys.draggable ? 11 : 8) : here ? 11 : isFrame[n] ? 4.5 : 0;

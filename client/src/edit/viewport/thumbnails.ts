@@ -58,7 +58,11 @@ function boxOf(actor: Actor, stored: StoredPose | null): THREE.Box3 {
   const { rig } = actor;
   if (!stored) {
     for (let joint = 0; joint < rig.count; joint++) box.expandByPoint(actor.toStage(actor.jointPosition(joint, point)));
-    return box.expandByScalar(0.09 * actor.height * actor.scale);
+    // hands, feet and what is on the head reach beyond their joints
+    const tall = actor.height * actor.scale;
+    box.expandByScalar(0.06 * tall);
+    box.max.y += 0.11 * tall;
+    return box;
   }
   for (const name of Object.keys(stored.joints)) {
     const joint = rig.index(name);
