@@ -12,8 +12,8 @@ from keypose.model import Channel, Clip, Curve, Property
 
 def test_the_public_names() -> None:
     assert sorted(evaluate.__all__) == [
-        "KeyedValue", "MatchReport", "PlainClip", "add", "bake", "bake_timeline", "blend", "difference", "exposed_times", "is_plain", "key_rate", "local", "match", "match_report",
-        "placement_duration", "placement_times", "plain_clip", "reduce_keys", "resample", "sample", "sample_clip", "sample_curve",
+        "CurveTable", "KeyedValue", "MatchReport", "PlainClip", "add", "bake", "bake_timeline", "blend", "difference", "exposed_times", "is_plain", "key_rate", "local", "match", "match_report",
+        "placement_duration", "placement_times", "plain_clip", "prepare_curves", "reduce_keys", "resample", "sample", "sample_clip", "sample_curve", "sample_curves",
         "sample_morphs", "sample_motion", "sample_timeline", "sample_timeline_morphs", "sample_value", "snap_to_keys", "to_clip",
         "unmatched", "value_for_result", "world", "world_rotations_positions",
     ]  # fmt: skip

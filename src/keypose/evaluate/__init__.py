@@ -8,6 +8,7 @@ from keypose.evaluate.matching import MatchReport, match, match_report
 from keypose.evaluate.plain import PlainClip, is_plain, plain_clip
 from keypose.evaluate.rates import key_rate
 from keypose.evaluate.sampling import sample, sample_clip, sample_morphs, sample_motion, sample_value, unmatched
+from keypose.evaluate.tables import CurveTable, prepare_curves, sample_curves
 from keypose.evaluate.timeline import (
     KeyedValue,
     bake_timeline,
@@ -20,6 +21,7 @@ from keypose.evaluate.timeline import (
 )
 
 __all__ = [
+    "CurveTable",
     "KeyedValue",
     "MatchReport",
     "PlainClip",
@@ -37,11 +39,13 @@ __all__ = [
     "placement_duration",
     "placement_times",
     "plain_clip",
+    "prepare_curves",
     "reduce_keys",
     "resample",
     "sample",
     "sample_clip",
     "sample_curve",
+    "sample_curves",
     "sample_morphs",
     "sample_motion",
     "sample_timeline",
