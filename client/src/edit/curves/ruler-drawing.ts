@@ -54,7 +54,7 @@ export function drawRuler(c: Context, view: View, colors: CurveColors, state: Ru
   if (clip) {
     const a = Math.max(-2, view.toX(clip.from)), b = Math.min(view.width + 2, view.toX(clip.to));
     c.fillStyle = clip.hue;
-    c.globalAlpha = 0.75;
+    c.globalAlpha = 0.5;
     c.beginPath();
     c.roundRect(Math.min(a, b), RULER - 3, Math.max(3, Math.abs(b - a)), 2, 1);
     c.fill();

@@ -65,6 +65,8 @@ export class CurveSession {
   /** How each line is normalised while something is dragged, so that the view stands still. */
   private frozen: ReadonlyMap<string, readonly [number, number]> | null = null;
   private fitted = false;
+  private listed: readonly string[] | undefined;
+  private listedQuery = "";
 
   constructor(readonly editor: Editor) {}
 
@@ -114,10 +116,27 @@ export class CurveSession {
   prepare(): void {
     if (!this.drag) this.view.clip = this.clipMap();
     this.view.top = RULER + ((this.editor.timeline?.markers.length ?? 0) > 0 ? MARKERS : 0);
-    if (!this.fitted && this.view.width > 40 && this.editor.channels.length > 0) {
+    if (this.view.width < 40 || this.editor.channels.length === 0 || this.drag) return;
+    const listed = this.rows[0]?.channels;
+    if (!this.fitted) {
       this.fitted = true;
       this.frameAll();
+    } else if (listed !== this.listed && this.query === this.listedQuery) this.lookAround();
+    this.listed = listed;
+    this.listedQuery = this.query;
+  }
+
+  /** Other channels than before: their values come into view where they are far outside or all in one line. */
+  private lookAround(): void {
+    const { view } = this;
+    let low = Infinity, high = -Infinity;
+    const shapes = this.shapes();
+    for (const shape of shapes) {
+      const own = extent(shape);
+      if (own) [low, high] = [Math.min(low, own[0]), Math.max(high, own[1])];
     }
+    const height = (high - low) * view.perUnit;
+    if (low > view.toValue(view.top) || high < view.toValue(view.height) || height < 0.15 * view.plot || height > 2 * view.plot) this.fitLines(shapes);
   }
 
   get clipTime(): number {
