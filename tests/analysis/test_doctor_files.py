@@ -77,7 +77,7 @@ def test_figures_are_known(examined: list[Examined]) -> None:
     of = {item.path.name: item.facts for item in examined}
     for name, kind in {
         "01_01.amc": "T", "Geno.fbx": "T", "debug_robot.vrm": "T", "default.mhskel": "A", "walk.dae": "A", "Fox.glb": "on all fours",
-        "007_01.bvh": "collapsed", "Knight.glb": "T", "cube.fbx": None,
+        "007_01.bvh": "collapsed", "Knight.glb": "T", "cube.fbx": None, "sphere.vrm": "T", "idle_loop.vrma": "T",
     }.items():  # fmt: skip
         assert of[name]["rest_pose"] == kind, name
     for name, orders in {"01_01.amc": "ZYX", "01_01.bvh": "ZYX", "jesse_dance.bvh": "YXZ", "Geno.fbx": "ZYX"}.items():
@@ -94,6 +94,7 @@ def test_figures_are_known(examined: list[Examined]) -> None:
         assert of[name]["forward"] == "+Z" and of[name]["handedness"] == "right", name
     assert of["007_01.bvh"]["forward"] is None and of["007_01.bvh"]["forward_moving"]
     assert of["astro_maya.dae"]["stature_m"] < 0.2
+    assert any(f["topic"] == "scale" and "--scale 0.01" in f["fix"] for f in of["Fox.glb"]["findings"])
 
 
 @pytest.mark.slow

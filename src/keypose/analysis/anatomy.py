@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +21,7 @@ _PARTS = (
 )
 _PREFIXED = re.compile(rf"^(l|r)(?:{_PARTS})\d*$")
 _TRUNK = re.compile("hip|femur|thigh|upleg|upperleg|clavicle|collar|shoulder|shldr|humerus|upperarm")
+_PART_OF_ROLE = {"foot": "foot", "toes": "toe", "hand": "hand", "upper_arm": "upper_arm"}
 _FEWEST = 4  # joints that a skinned body has
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z][a-z]+|[a-z]+|\d+")
 _ENDS = {
@@ -136,6 +137,24 @@ def find_body(names: Sequence[str], joints: Iterable[int] | None = None) -> Body
                 pairs.append((joint, other))
     trunk = tuple(pair for pair in pairs if _TRUNK.search("".join(words_of(names[pair[0]]))))
     return Body(parts, tuple(pairs), trunk)
+
+
+def with_roles(body: Body, roles: Mapping[str, int]) -> Body:
+    """The body with what a file itself says of its joints (``left_hand``, ``head``), which counts more than names."""
+    parts = dict(body.parts)
+    pairs, trunk = set(body.pairs), set(body.trunk)
+    for role, joint in roles.items():
+        if role == "head":
+            parts["head", ""] = joint
+        side, _, limb = role.partition("_")
+        if side in ("left", "right") and limb in _PART_OF_ROLE:
+            parts[_PART_OF_ROLE[limb], side] = joint
+        if role.startswith("left_") and f"right_{role.removeprefix('left_')}" in roles:
+            pair = joint, roles[f"right_{role.removeprefix('left_')}"]
+            pairs.add(pair)
+            if role.removeprefix("left_") in ("upper_leg", "upper_arm", "shoulder"):
+                trunk.add(pair)
+    return Body(parts, tuple(sorted(pairs)), tuple(sorted(trunk)))
 
 
 def _mirrored(name: str) -> list[str]:

@@ -6,7 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from keypose.analysis.anatomy import Body, facing, figure_joints, find_body, on_all_fours, rest_kind, upright
+from keypose.analysis.anatomy import (
+    Body,
+    facing,
+    figure_joints,
+    find_body,
+    on_all_fours,
+    rest_kind,
+    upright,
+    with_roles,
+)
 from keypose.analysis.findings import Finding, listed
 from keypose.arrays import Floats, Ints
 from keypose.evaluate import bake, key_rate, world_rotations_positions
@@ -15,6 +24,7 @@ from keypose.model import Character, Clip, Motion, Part, Pose, Skeleton
 _MOST_FRAMES = 20_000  # of a motion that is looked at; longer ones are looked at in even steps
 _STATURES_M = (0.4, 2.6)  # from a small child to more than any human
 _USUAL_M = 1.7
+_LONGEST_M = 50.0  # of any creature
 _SLOWEST_HZ = 10.0  # keys further apart are no frames of a recording
 _TRAVELLING = 0.15  # of the stature: how far the feet may be from the ground
 
@@ -27,13 +37,15 @@ def examine_character(
     skeleton = character.skeleton
     if skeleton.joint_count > 1:
         joints = figure_joints(character)
-        body = find_body(skeleton.names, joints)
+        body = with_roles(find_body(skeleton.names, joints), character.roles)
         rest = np.asarray(world_rotations_positions(skeleton, skeleton.rest)[1], np.float64)
         posed, rate_hz = _frames(skeleton, motions)
         _Figure(body, skeleton, joints, rest, posed, bool(motions), facts, findings, prefix).examine()
         if posed is not None and rate_hz >= _SLOWEST_HZ and body:
             _jumps(skeleton, posed[:, joints], joints, findings, prefix)
         _bones(skeleton, motions, findings, prefix)
+        if not facts.get("stature_m"):
+            _mesh_size(character, findings, prefix)
     for part in character.parts:
         _part(part, findings, prefix)
     _influences(character.parts, findings, prefix)
@@ -51,6 +63,18 @@ def _held(character: Character, joints: Ints) -> bool:
     hung = [part.joint for part in character.parts if part.joint is not None]
     held = [np.asarray(part.skin.palette) for part in character.parts if part.skin is not None]
     return any(np.isin(joints, palette).any() for palette in (np.array(hung), *held))
+
+
+def _mesh_size(character: Character, findings: list[Finding], prefix: str) -> None:
+    """What is skinned and no human: an animal or a creature, which has a size of its own, within reason."""
+    points = [np.asarray(p.mesh.positions) for p in character.parts if p.skin is not None and p.mesh.vertex_count]
+    if not points:
+        return
+    longest = float(np.ptp(np.concatenate(points), axis=0).max())
+    if longest > _LONGEST_M:
+        factor = next((f for f in (0.1, 0.01, 0.001) if longest * f < 5), 0.001)
+        text = f"{prefix}what is skinned is {longest:.3g} m long: a wrong unit?"
+        findings.append(Finding("warning", "scale", text, f"keypose convert FILE OUT --scale {factor:g}"))
 
 
 def _frames(skeleton: Skeleton, motions: list[Clip | Motion]) -> tuple[Floats | None, float]:
@@ -123,7 +147,7 @@ class _Figure:
         if head is None or not feet:
             return False
         parents = self.skeleton.parents
-        lengths = np.linalg.norm(np.asarray(self.skeleton.rest.translations), axis=-1)
+        lengths = np.linalg.norm(self.rest - self.rest[np.maximum(parents, 0)], axis=-1)
 
         def above(joint: int) -> list[int]:
             path = [joint]
@@ -309,5 +333,5 @@ def _influences(parts: tuple[Part, ...], findings: list[Finding], prefix: str) -
     if many:
         name, most = max(many.items(), key=lambda item: item[1])
         text = f"{prefix}part '{name}': up to {most} joints move a vertex; many engines keep 4"
-        text += f" ({len(many) - 1} more parts have over 4)" if len(many) > 1 else ""
+        text += f"; over 4 in {len(many)} parts" if len(many) > 1 else ""
         findings.append(Finding("fact", "weights", text, "keypose convert FILE OUT --influences 4"))
