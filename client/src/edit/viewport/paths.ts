@@ -226,6 +226,7 @@ export class MotionPaths {
     const { times, isFrame, color } = this;
     const { positions: p, isKey } = path;
     const palette = PALETTES[this.view.theme];
+    const ink = this.view.theme === "dark" ? palette.overlayBone : palette.shadow;
     const count = times.length;
     const speeds = new Float64Array(count);
     let fastest = 0;
@@ -259,7 +260,7 @@ export class MotionPaths {
       // keys on every frame that nobody can drag say nothing: ticks do, and let the speed be seen
       const here = Math.abs(times[n] - now) < 1e-6, key = isKey[n] === 1 && (path.keys.draggable || !path.dense);
       const hot = this.hovered?.joint === path.joint && Math.abs(this.hovered.time - times[n]) < SAME;
-      (key ? color.copy(hot ? palette.hover : palette.accent) : here ? color.copy(palette.overlayBone) : shade(n).lerp(palette.overlayBone, 0.35)).toArray(rgb, 3 * n);
+      (key ? color.copy(hot ? palette.hover : palette.accent) : here ? color.copy(ink) : shade(n).lerp(ink, 0.35)).toArray(rgb, 3 * n);
       looks[2 * n] = key ? (hot ? 13 : path.dense ? 6 : path.keys.draggable ? 11 : 8) : here ? 11 : isFrame[n] ? 4.5 : 0;
       looks[2 * n + 1] = key ? (path.keys.draggable ? 1 : 0) : here ? 2 : 0;
       if (key && here) looks[2 * n] += 2;

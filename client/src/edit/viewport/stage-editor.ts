@@ -406,7 +406,8 @@ export class StageEditor {
       return stop(event);
     }
     const { drag } = this;
-    if (!drag || event.ctrlKey || event.metaKey || event.key === "Shift" || event.key === "Control" || event.key === "Alt") return;
+    if (!drag || event.key === "Shift" || event.key === "Control" || event.key === "Meta" || event.key === "Alt") return;
+    if (event.ctrlKey || event.metaKey) return stop(event);
     const modes: Record<string, Mode> = { g: "move", r: "rotate", s: "scale" };
     const mode = modes[event.key.toLowerCase()];
     if (event.key === "Escape") this.cancel();

@@ -17,6 +17,7 @@ export class ViewTools {
   detach = $state(false);
   surface = $state<Surface>("shaded");
   bones = $state(true);
+  axes = $state(false);
   /** Paths of joints in time; of the selected ones where none are pinned. */
   paths = $state(false);
   pinned = $state.raw<readonly number[]>([]);
