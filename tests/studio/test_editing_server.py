@@ -458,6 +458,10 @@ def test_after_kill_9_the_next_start_offers_everything_up_to_the_last_edit(tmp_p
             assert not one.set_curves("arm", {Channel("Joint1", Property.TRANSLATION, 1): bezier(n)})["error"]
         wanted = exported(first)  # type: ignore[arg-type]
         first.end(signal.SIGKILL)
+    second = Running(tmp_path, str(project))
+    with page(second) as one:  # type: ignore[arg-type]
+        assert "5 changes of this project were not saved" in one.until("notice")["message"]
+    second.end(signal.SIGINT)
     second = Running(tmp_path)
     with page(second) as one:  # type: ignore[arg-type]
         assert (one.hello["start"], one.hello["recoverable"]) == ("view", 1)

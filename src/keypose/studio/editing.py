@@ -317,11 +317,12 @@ class Editing:
 
     async def _send_state(self, outboxes: Any) -> None:
         body = Body()
+        recoverable = await self.recoverable()
         state = edits.ProjectState(
             type="project_state",
             status=self._status(),
             characters=await self._characters(),
-            recoverable=await self.recoverable(),
+            recoverable=recoverable,
             operators=[spec.name for spec in await asyncio.to_thread(operator_specs)],
             exports=exports(),
             folder=str(Path.cwd()),
@@ -329,6 +330,10 @@ class Editing:
         )
         for outbox in outboxes:
             outbox.put(state, None, body)
+            for found in recoverable:
+                if found.path and found.path == self.workspace.path:
+                    text = f"{found.edits} changes of this project were not saved when its studio ended; they can be recovered"
+                    outbox.put(messages.Notice("notice", "Unsaved work was found", text))
 
     async def recoverable(self) -> list[edits.Recoverable]:
         """Projects that were not saved before their studios ended."""
