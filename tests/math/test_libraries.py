@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from keypose.math import dualquat, euler, quat, rigid, spline
+from keypose.math import dualquat, ease, euler, quat, rigid, rotation_splines, spline
 
 PI = np.pi
 IDENTITY = [1.0, 0, 0, 0]
@@ -31,6 +31,15 @@ def some_matrices(n):
     return rigid.from_trs(some(n, 3), some_quats(n), RNG.uniform(0.5, 2, size=(n, 3)))
 
 
+def smooth_quats():
+    """Six rotations, each some way from the one before."""
+    q = [some_quats()]
+    for step in some(5, 3):
+        q.append(quat.multiply(q[-1], quat.from_rotation_vector(0.6 * step)))
+    return np.array(q)
+
+
+KEY_TIMES = np.array([0.0, 0.4, 1.5, 1.9, 3.0, 3.3])
 U = RNG.uniform(0.1, 0.9, size=4)
 
 # name -> (function, inputs); inputs that a gradient would leave the manifold with are normalised inside.
@@ -93,6 +102,23 @@ CASES = {
     },
     "euler.gimbal_distance": (partial(euler.gimbal_distance, order="XYZ"), (some(4, 3),)),
     "euler.unroll": (partial(euler.unroll, order="XYZ"), (3 * some(6, 3),)),
+    "rotation_splines.squad": (rotation_splines.squad, (some_quats(4), 0.4 * some(4, 3, 3), U)),
+    "rotation_splines.spherical_bezier": (rotation_splines.spherical_bezier, (some_quats(4), 0.4 * some(4, 3, 3), U)),
+    "rotation_splines.log_cubic": (rotation_splines.log_cubic, (some_quats(4), 0.4 * some(4, 3, 3), U)),
+    "rotation_splines.squad_controls": (partial(rotation_splines.squad_controls, times_s=KEY_TIMES), (smooth_quats(),)),
+    "rotation_splines.spherical_bezier_controls": (
+        partial(rotation_splines.spherical_bezier_controls, times_s=KEY_TIMES),
+        (smooth_quats(),),
+    ),
+    "rotation_splines.log_cubic_controls": (
+        partial(rotation_splines.log_cubic_controls, times_s=KEY_TIMES),
+        (smooth_quats(),),
+    ),
+    "rotation_splines.end_velocities": (
+        partial(rotation_splines.end_velocities, method="log_cubic"),
+        (0.4 * some(4, 3, 3), U),
+    ),
+    "ease.ease": (partial(ease.ease, "elastic_in_out"), (U,)),
 }
 every_case = pytest.mark.parametrize("name", CASES)
 
@@ -145,6 +171,13 @@ LOCKED = [
 NO_MOTION = [1.0, 0, 0, 0, 0, 0, 0, 0]
 
 SINGULAR = {
+    **{
+        f"{method} through equals and half turns": (
+            lambda q, method=method: rotation_splines.interpolate(q, [0.0, 1, 2], [0.0, 0.3, 1, 1.7], method),
+            [[IDENTITY] * 3, [IDENTITY, HALF_TURN, IDENTITY], [IDENTITY, [-1.0, 0, 0, 0], HALF_TURN]],
+        )
+        for method in ("squad", "spherical_bezier", "log_cubic")
+    },
     "normalize zero": (quat.normalize, [[0.0, 0, 0, 0]]),
     "inverse of zero": (quat.inverse, [[0.0, 0, 0, 0]]),
     "no axis": (lambda v: quat.from_axis_angle(v, 1.0), [[0.0, 0, 0]]),

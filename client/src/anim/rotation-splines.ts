@@ -199,7 +199,7 @@ function keyRates(chords: Float64Array, times: Float64Array, rate: Rate): Float6
 type Vector = [number, number, number];
 type Matrix = Float64Array; // 3 rows of 3
 
-const NEWTON_STEPS = 12;
+const NEWTON_STEPS = 7;
 
 function logCubicControls(halfChords: Float64Array, times: Float64Array, controls: Float64Array): void {
   const spans = times.length - 1;
