@@ -106,15 +106,18 @@ let columns = new Uint8Array(0);
 export function drawKeys(c: Context, scene: DopeScene, only: ((row: Row) => boolean) | null = null): void {
   const { view, colors, rows, scroll, curves } = scene;
   const [first, end] = visibleRows(scene);
-  const plain = new Path2D(), chosen = new Path2D(), quiet = new Path2D(), bars = new Path2D();
+  const plain = new Path2D(), chosen = new Path2D(), quiet = new Path2D(), bars = new Path2D(), ticks = new Path2D();
+  const sets: Paths = { plain, chosen, ticks, bars };
   for (let r = first; r < end; r++) {
     const row = rows[r];
     if (only && !only(row)) continue;
     const y = rowTop(view, scroll, r) + (ROW - 1) / 2;
     const own = row.channels.flatMap((key) => curves.get(key) ?? []);
     if (own.length === 0) continue;
-    if (own.length === 1) single(scene, row, own[0], y, scene.locked.has(row.channels[0]) || scene.muted.has(row.channels[0]) ? quiet : plain, chosen, bars);
-    else several(scene, own, y, row.kind === "component" ? quiet : plain, chosen);
+    const still = row.channels.every((key) => scene.locked.has(key) || scene.muted.has(key));
+    const paths = still ? { ...sets, plain: quiet, ticks: quiet } : sets;
+    if (own.length === 1) single(scene, row, own[0], y, paths);
+    else several(scene, own, y, paths);
   }
   c.fillStyle = colors.line;
   c.fill(bars);
@@ -122,25 +125,65 @@ export function drawKeys(c: Context, scene: DopeScene, only: ((row: Row) => bool
   c.globalAlpha = 0.5;
   c.fill(quiet);
   c.globalAlpha = 1;
+  c.fillStyle = colors.faint;
+  c.fill(ticks);
   c.fillStyle = colors.muted;
   c.fill(plain);
   c.fillStyle = colors.accent;
   c.fill(chosen);
-  c.strokeStyle = colors.ground;
-  c.lineWidth = 0.8;
-  c.stroke(chosen);
 }
 
-function single(scene: DopeScene, row: Row, curve: EditCurve, y: number, plain: Path2D, chosen: Path2D, bars: Path2D): void {
+interface Paths {
+  readonly plain: Path2D;
+  readonly chosen: Path2D;
+  /** Keys that lie too close for a diamond each. */
+  readonly ticks: Path2D;
+  readonly bars: Path2D;
+}
+
+/** Closer than this keys are no longer told apart: they become one band. */
+const BAND = 3.4;
+
+/** Keys from left to right that become bands: one for each run of the same state without a gap. */
+class Bands {
+  private from = NaN;
+  private to = 0;
+  private on = false;
+
+  constructor(
+    private readonly y: number,
+    private readonly paths: Paths,
+  ) {}
+
+  put(x: number, on: boolean): void {
+    if (Math.abs(x - this.to) > 2 * BAND || on !== this.on) {
+      this.end();
+      // where only the state changes nothing is left open between two bands
+      this.from = Math.abs(x - this.to) > 2 * BAND ? x - 0.5 : this.to;
+      this.on = on;
+    }
+    this.to = x + 0.5;
+  }
+
+  end(): void {
+    if (this.from === this.from) (this.on ? this.paths.chosen : this.paths.ticks).rect(this.from, this.y - 2.5, this.to - this.from, 5);
+  }
+}
+
+/** How wide a tick is where keys are so far apart: a gap stays between two of them. */
+const tickWidth = (room: number) => Math.max(0.7, Math.min(1.8, 0.55 * room));
+
+function single(scene: DopeScene, row: Row, curve: EditCurve, y: number, paths: Paths): void {
+  const { plain, chosen, ticks, bars } = paths;
   const { view, selection } = scene;
   const { times, modes } = curve;
   const [from, to] = visibleKeys(curve, view.clipTime(-8), view.clipTime(view.width + 8));
   const kx = view.keyScale, ox = view.keyOffset;
-  const dense = (to - from) * 6.5 > Math.abs(kx * (times[to] - times[from]));
+  const room = Math.abs(kx * (times[to] - times[from])) / Math.max(1, to - from), dense = to > from && room < 6.5, wide = tickWidth(room);
   const held = heldSpans(curve);
   const component = row.kind === "component" ? row.component : -1;
   const indices = selection.get(curve.channel.key);
-  let lastX = -1e9, lastChosen = false;
+  const bands = dense && room < BAND ? new Bands(y, paths) : null;
   for (let k = from; k <= to; k++) {
     const x = kx * times[k] + ox;
     if (held[k]) {
@@ -148,18 +191,16 @@ function single(scene: DopeScene, row: Row, curve: EditCurve, y: number, plain: 
       bars.rect(Math.min(x, next), y - 3, Math.abs(next - x), 6);
     }
     const selected = indices !== undefined && isSelected(selection, curve.channel.key, k, component);
-    const path = selected ? chosen : plain;
-    if (dense) {
-      if (Math.abs(x - lastX) < 1.6 && selected === lastChosen) continue;
-      path.rect(x - 0.9, y - 4.5, 1.8, 9);
-    } else glyph(path, x, y, modes[k]);
-    lastX = x;
-    lastChosen = selected;
+    if (bands) bands.put(x, selected);
+    else if (dense) (selected ? chosen : ticks).rect(x - wide / 2, y - 4, wide, 8);
+    else glyph(selected ? chosen : plain, x, y, modes[k]);
   }
+  bands?.end();
 }
 
 /** Rows of several channels: one diamond for each pixel column that holds keys, selected where any is. */
-function several(scene: DopeScene, curves: readonly EditCurve[], y: number, plain: Path2D, chosen: Path2D): void {
+function several(scene: DopeScene, curves: readonly EditCurve[], y: number, paths: Paths): void {
+  const { plain, chosen, ticks } = paths;
   const { view, selection } = scene;
   const width = Math.ceil(view.width) + 16;
   if (columns.length < width) columns = new Uint8Array(width);
@@ -180,15 +221,23 @@ function several(scene: DopeScene, curves: readonly EditCurve[], y: number, plai
       if (column >= 0 && column < width) columns[column] |= 2;
     }
   }
-  let count = 0;
-  for (let n = 0; n < width; n++) if (columns[n]) count++;
-  const dense = count > view.width / 6.5;
+  let count = 0, first = -1, last = 0;
   for (let n = 0; n < width; n++) {
     if (!columns[n]) continue;
-    const path = columns[n] & 2 ? chosen : plain, x = n - 8;
-    if (dense) path.rect(x - 0.8, y - 4.5, 1.6, 9);
-    else diamond(path, x, y, SIZE + 0.4);
+    count++;
+    if (first < 0) first = n;
+    last = n;
   }
+  const room = (last - first) / Math.max(1, count - 1), dense = count > 1 && room < 6.5, wide = tickWidth(room);
+  const bands = dense && room < BAND ? new Bands(y, paths) : null;
+  for (let n = 0; n < width; n++) {
+    if (!columns[n]) continue;
+    const x = n - 8, on = (columns[n] & 2) !== 0;
+    if (bands) bands.put(x, on);
+    else if (dense) (on ? chosen : ticks).rect(x - wide / 2, y - 4, wide, 8);
+    else diamond(on ? chosen : plain, x, y, SIZE + 0.4);
+  }
+  bands?.end();
 }
 
 export function hueOfLayer(colors: CurveColors, name: string): string {

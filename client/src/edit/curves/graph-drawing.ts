@@ -175,6 +175,8 @@ function widths({ shapes, view }: GraphScene): { hair: number; plain: number; bo
 }
 
 export const HANDLES = 240;
+/** Handles nearer to their key than this are not drawn: they would only blur it. */
+export const LEAST_REACH = 9;
 let taken = new Uint8Array(0);
 
 /** Selected keys, with their handles where there are not too many to tell apart. */
@@ -232,6 +234,7 @@ function handles(c: Context, { view, colors }: GraphScene, shape: Shape, k: numb
     const reach = handleOf(shape, k, side);
     if (!reach) continue;
     const hx = view.clipX(curve.times[k] + reach[0]), hy = view.toY(shownValue(shape, value + reach[1]));
+    if (Math.hypot(hx - x, hy - y) < LEAST_REACH) continue;
     c.strokeStyle = colors.muted;
     c.globalAlpha = 0.8;
     c.lineWidth = 1;

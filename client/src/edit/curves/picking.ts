@@ -3,7 +3,7 @@
 import { keyFrom } from "../../anim/curve";
 import type { EditCurve, KeySelection } from "../contract";
 import { ROW, rowAt, rowTop, visibleRows, type DopeScene } from "./dope-drawing";
-import { HANDLES } from "./graph-drawing";
+import { HANDLES, LEAST_REACH } from "./graph-drawing";
 import { hit, isSelected, masksOf, WHOLE, type Hits } from "./selection";
 import { handleOf, lineValue, shownValue, valueOf, type Shape } from "./shapes";
 import type { Box, View } from "./view";
@@ -67,7 +67,9 @@ export function handleUnder(view: View, shapes: readonly Shape[], selection: Key
       for (const side of [0, 1] as const) {
         const reach = handleOf(shape, k, side);
         if (!reach) continue;
-        const distance = Math.hypot(view.clipX(curve.times[k] + reach[0]) - x, view.toY(shownValue(shape, value + reach[1])) - y);
+        const hx = view.clipX(curve.times[k] + reach[0]), hy = view.toY(shownValue(shape, value + reach[1]));
+        if (Math.hypot(hx - kx, hy - view.toY(shownValue(shape, value))) < LEAST_REACH) continue;
+        const distance = Math.hypot(hx - x, hy - y);
         if (distance < least) {
           least = distance;
           best = { shape, key: k, side };
