@@ -205,8 +205,9 @@ def _rest_weights(character: Character) -> Floats:
 
 def _part_pairs(a: Character, b: Character) -> list[tuple[int, int]]:
     names = [p.name for p in b.parts]
-    if len(a.parts) == len(b.parts):
-        return [(i, i) for i in range(len(a.parts))]
+    own = [p.name for p in a.parts]
+    if len(own) == len(names) and (sorted(own) != sorted(names) or len(set(own)) < len(own)):
+        return [(i, i) for i in range(len(own))]  # renamed, or names that say nothing: by order
     return [(i, names.index(p.name)) for i, p in enumerate(a.parts) if p.name in names]
 
 
