@@ -17,7 +17,7 @@ from keypose.errors import UnknownName
 
 __all__ = ["SUITES", "Result", "run"]
 
-SUITES = ("kernels", "bvh", "fk", "runtime", "io")
+SUITES = ("kernels", "bvh", "fk", "runtime", "io", "curves")
 
 
 def run(name: str | None = None, json_path: str | Path | None = None, rounds: int = 15) -> list[Result]:
@@ -51,6 +51,11 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
         if name != "bvh":
             suite.begin("fk")
             peers.add_fk(suite)
+    if name in (None, "curves"):
+        from keypose.bench import curves
+
+        suite.begin("curves")
+        curves.add(suite)
     if name in (None, "io"):
         from keypose.bench import io
 

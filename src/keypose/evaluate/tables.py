@@ -57,11 +57,12 @@ def prepare_curves(curves: Sequence[Curve], dtype: Any = None) -> CurveTable:
         raise ShapeError(f"dtype: expected float32 or float64, got {precision}")
     known = [n for n, c in enumerate(curves) if _in_kernel(c)]
     widths = np.array([c.values.shape[1] for c in curves], np.int64)
-    tracks = np.zeros((len(known), 9), np.int64)
+    tracks = np.zeros((len(known), 10), np.int64)
     keys: list[Array] = []
     modes: list[Array] = []
     values: list[Array] = []
-    sides: dict[str, list[Array]] = {n: [] for n in ("in_tangents", "out_tangents", "in_handles", "out_handles")}
+    tangents: list[Array] = []
+    handles: list[Array] = []
     at_key = at_value = at_tangent = at_handle = 0
     for row, n in enumerate(known):
         curve = curves[n]
@@ -74,25 +75,26 @@ def prepare_curves(curves: Sequence[Curve], dtype: Any = None) -> CurveTable:
             before, after = (2 if r == 3 else r for r in (before, after))
         tracks[row] = (
             at_key, count, at_value, width, at_tangent if cubic else -1, at_handle if weighted else -1, kind, before, after,
+            int(curve.modes[0]) if count < 2 or np.all(spans == spans[0]) else -1,
         )  # fmt: skip
         keys.append(curve.times_s)
         modes.append(np.asarray(curve.modes))
         values.append(curve.values.ravel())
-        for needed, names in ((cubic, ("in_tangents", "out_tangents")), (weighted, ("in_handles", "out_handles"))):
-            for name in names:
-                side = getattr(curve, name)
-                if needed and side is not None:
-                    sides[name].append(side.ravel())
+        # What arrives at a key and what leaves it stand together.
+        if cubic and curve.in_tangents is not None and curve.out_tangents is not None:
+            tangents.append(np.stack([curve.in_tangents, curve.out_tangents], axis=1).ravel())
+        if weighted and curve.in_handles is not None and curve.out_handles is not None:
+            handles.append(np.stack([curve.in_handles, curve.out_handles], axis=1).ravel())
         at_key, at_value = at_key + count, at_value + count * width
-        at_tangent += count * width if cubic else 0
-        at_handle += 2 * count * width if weighted else 0
+        at_tangent += 2 * count * width if cubic else 0
+        at_handle += 4 * count * width if weighted else 0
 
     def joined(parts: list[Array], kind: Any) -> Array:
         return np.ascontiguousarray(np.concatenate(parts), kind) if parts else np.zeros(0, kind)
 
     arrays = (
         tracks, joined(keys, np.float64), joined(modes, np.uint8), joined(values, precision),
-        *(joined(side, precision) for side in sides.values()),
+        joined(tangents, precision), joined(handles, precision),
     )  # fmt: skip
     starts = np.concatenate([[0], np.cumsum(widths)]).astype(np.int64)
     return CurveTable(starts, curves, tuple(n for n in range(len(curves)) if n not in set(known)), arrays)

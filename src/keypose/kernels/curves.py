@@ -3,10 +3,11 @@
 
 A *track* is one curve. Keys of all tracks stand one after another; `tracks` holds a row of numbers for each:
 
-    first key, number of keys, first value, components, first tangent or -1, first handle or -1, kind, before, after
+    first key, number of keys, first value, components, first tangent, first handle, kind, before, after, mode (-1: several)
 
-Values and tangents are (keys, components) from their first on, handles (keys, components, 2). Results are written track by
-track, component by component, (components, times), so that neighbouring times stand side by side.
+Values are (keys, components) from their first on, tangents (keys, [in, out], components) and handles (keys, [in, out],
+components, 2), so that what a span needs stands together. Results are written track by track, component by component,
+(components, times), so that neighbouring times stand side by side.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from keypose.kernels.runtime import inlined, kernel
 
-KEY, KEYS, VALUE, WIDTH, TANGENT, HANDLE, KIND, BEFORE, AFTER = range(9)
+KEY, KEYS, VALUE, WIDTH, TANGENT, HANDLE, KIND, BEFORE, AFTER, MODE = range(10)
 LINES, NUMBERS, ROTATION = range(3)  # kinds: straight everywhere, numbers of any mode, unit quaternions
 HOLD, GO_ON, CYCLE, CYCLE_OFFSET, PING_PONG = range(5)
 _STEP, _LINEAR, _HERMITE = 0, 1, 2
@@ -110,17 +111,63 @@ def _hermite(p0, m0, p1, m1, u, span):
     return bend + (p0 + u * u * (3 - 2 * u) * d if u < 0.5 else p1 - v * v * (3 - 2 * v) * d)
 
 
+@inlined
+def _lines(times, tracks, n, keys, modes, values, spans, shares, out, row):
+    """A track of lines and steps at times between its first and its last key: first all places, then all values."""
+    low, total, width, start = tracks[n, KEY], tracks[n, KEYS], tracks[n, WIDTH], tracks[n, VALUE]
+    first, last = keys[low], low + total - 2
+    scale = (total - 1) / (keys[low + total - 1] - first)
+    strays = 0
+    for t in range(times.shape[0]):  # as if keys were even
+        k = low + np.int64((times[t] - first) * scale)
+        k = min(k, last)
+        here, after = keys[k], keys[k + 1]
+        strays += (here > times[t]) | ((after <= times[t]) & (k < last))
+        spans[t] = k
+        shares[t] = (times[t] - here) / (after - here)
+    if strays > 0:
+        k = low
+        for t in range(times.shape[0]):
+            time = times[t]
+            steps = 0
+            while k < last and keys[k + 1] <= time:
+                k += 1
+                steps += 1
+                if steps == 8:
+                    k = min(_span_of(keys, low, total, time), last)
+            spans[t] = k
+            shares[t] = (time - keys[k]) / (keys[k + 1] - keys[k])
+    if tracks[n, MODE] != _LINEAR:
+        for t in range(times.shape[0]):
+            if modes[spans[t]] == _STEP and shares[t] < 1:
+                shares[t] = 0.0
+    for t in range(times.shape[0]):
+        spans[t] = start + (spans[t] - low) * width
+    one, half = values.dtype.type(1), values.dtype.type(0.5)
+    for c in range(width):
+        for t in range(times.shape[0]):
+            a, b, share = values[spans[t] + c], values[spans[t] + width + c], shares[t]
+            rise = b - a
+            out[row + c, t] = a + share * rise if share < half else b - (one - share) * rise
+
+
 @kernel
-def sample_tracks(times, tracks, keys, modes, values, in_tangents, out_tangents, in_handles, out_handles, out):
+def sample_tracks(times, tracks, keys, modes, values, tangents, handles, out):
     """All tracks at rising times (T,), into (D, T)."""
     count = times.shape[0]
     row = 0
     quaternion = np.empty(4)
+    spans, shares = np.empty(count, np.int32), np.empty(count, values.dtype)
     for n in range(tracks.shape[0]):
         low, total, width = tracks[n, KEY], tracks[n, KEYS], tracks[n, WIDTH]
         start_value, kind = tracks[n, VALUE], tracks[n, KIND]
         first, last = keys[low], keys[low + total - 1]
         length = last - first
+        if kind == LINES and count > 1 and total > 1 and times[0] >= first and times[count - 1] <= last:
+            _lines(times, tracks, n, keys, modes, values, spans, shares, out, row)
+            row += width
+            continue
+        one_mode = tracks[n, MODE]
         k = -1
         following, here, span, over, whole, share = low, 0.0, 0.0, 0.0, 0.0, 0.0
         for t in range(count):
@@ -155,7 +202,7 @@ def sample_tracks(times, tracks, keys, modes, values, in_tangents, out_tangents,
                 following = min(k + 1, low + total - 1)
                 span = keys[following] - here
             share = (time - here) / span if span > 0 else 0.0
-            mode = modes[k]
+            mode = one_mode if one_mode >= 0 else np.int64(modes[k])
             at = start_value + (k - low) * width
             to = start_value + (following - low) * width
             if share == 0 or mode == _STEP:
@@ -185,15 +232,14 @@ def sample_tracks(times, tracks, keys, modes, values, in_tangents, out_tangents,
                 for c in range(4):
                     out[row + c, t] = x * values[at + c] + y * sign * values[to + c]
             elif mode == _HERMITE:
-                tangent = tracks[n, TANGENT]
-                m, e = tangent + (k - low) * width, tangent + (following - low) * width
+                m = tracks[n, TANGENT] + (2 * (k - low) + 1) * width  # out of this key, and then into the next
                 size = 0.0
                 for c in range(width):
                     x = _hermite(
                         np.float64(values[at + c]),
-                        np.float64(out_tangents[m + c]),
+                        np.float64(tangents[m + c]),
                         np.float64(values[to + c]),
-                        np.float64(in_tangents[e + c]),
+                        np.float64(tangents[m + width + c]),
                         share,
                         span,
                     )
@@ -207,16 +253,16 @@ def sample_tracks(times, tracks, keys, modes, values, in_tangents, out_tangents,
                     for c in range(4):
                         out[row + c, t] = quaternion[c] * size
             else:
-                handle = tracks[n, HANDLE]
-                m, e = handle + 2 * (k - low) * width, handle + 2 * (following - low) * width
+                m = tracks[n, HANDLE] + 2 * (2 * (k - low) + 1) * width
+                e = m + 2 * width
                 for c in range(width):
                     out[row + c, t] = _bezier(
                         np.float64(values[at + c]),
-                        np.float64(out_handles[m + 2 * c]),
-                        np.float64(out_handles[m + 2 * c + 1]),
+                        np.float64(handles[m + 2 * c]),
+                        np.float64(handles[m + 2 * c + 1]),
                         np.float64(values[to + c]),
-                        np.float64(in_handles[e + 2 * c]),
-                        np.float64(in_handles[e + 2 * c + 1]),
+                        np.float64(handles[e + 2 * c]),
+                        np.float64(handles[e + 2 * c + 1]),
                         span,
                         share,
                     )
@@ -231,20 +277,16 @@ def sample_tracks(times, tracks, keys, modes, values, in_tangents, out_tangents,
                     span_s = keys[near_key + 1] - keys[near_key]
                     a = start_value + (near_key - low) * width
                     own = start_value + (0 if outside < 0 else total - 1) * width
-                    place = own - start_value
+                    # the side that lies within the keys: out of the first, into the last
+                    side = 2 * (own - start_value) + (width if outside < 0 else 0)
                     for c in range(width):
                         slope = (np.float64(values[a + width + c]) - values[a + c]) / span_s
                         if mode == _HERMITE:
-                            tangent = tracks[n, TANGENT] + place + c
-                            slope = np.float64(out_tangents[tangent] if outside < 0 else in_tangents[tangent])
+                            slope = np.float64(tangents[tracks[n, TANGENT] + side + c])
                         elif mode > _HERMITE:
-                            handle = tracks[n, HANDLE] + 2 * (place + c)
-                            if outside < 0:
-                                seconds, rise = out_handles[handle], out_handles[handle + 1]
-                            else:
-                                seconds, rise = in_handles[handle], in_handles[handle + 1]
-                            if seconds != 0:
-                                slope = np.float64(rise) / seconds
+                            handle = tracks[n, HANDLE] + 2 * (side + c)
+                            if handles[handle] != 0:
+                                slope = np.float64(handles[handle + 1]) / handles[handle]
                         out[row + c, t] = values[own + c] + outside * slope
         row += width
 
