@@ -777,3 +777,32 @@ def test_thousands_of_equal_names_take_no_time(tmp_path: Path) -> None:
     scene = loaded(file, tmp_path)
     assert scene.character.skeleton.names[-1] == "x_30000"
     assert len(scene.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("key", "index", "change", "message"),
+    [
+        ("nodes", 0, {"children": {}}, "expected an array"), ("nodes", 0, {"children": [99999]}, "does not exist"),
+        ("nodes", 0, {"translation": "abc"}, "expected an array"), ("nodes", 0, {"rotation": [0, 0, 0]}, "expected 4 numbers"),
+        ("nodes", 0, {"scale": [1, 1, True]}, "expected a number"), ("nodes", 0, {"name": 3}, "expected a text"),
+        ("accessors", 0, {"count": 0}, "1 or more"), ("accessors", 0, {"count": "3"}, "expected an integer"),
+        ("accessors", 0, {"type": ["VEC3"]}, "expected a text"), ("accessors", 0, {"componentType": [5126]}, "expected an integer"),
+        ("accessors", 0, {"bufferView": 99999}, "does not exist"), ("accessors", 0, {"sparse": []}, "expected an object"),
+        ("bufferViews", 0, {"buffer": 7}, "does not exist"), ("bufferViews", 0, {"byteStride": 400}, "1 to 255"),
+        ("bufferViews", 0, {"byteLength": None}, "expected an integer"),
+    ],
+)  # fmt: skip
+def test_the_short_way_through_the_json_refuses_what_the_careful_one_does(
+    key: str, index: int, change: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    """Numerous items are read quickly where they are as usual; what is odd is still refused by its name."""
+    from keypose import samples
+    from keypose.io.gltf.writer import write
+
+    write(samples.load("walk"), tmp_path / "a.gltf")
+    document = json.loads((tmp_path / "a.gltf").read_text())
+    document[key][index].update(change)
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    with pytest.raises(FormatError, match=message) as refused:
+        read(tmp_path / "a.gltf")
+    assert f"{key}[{index}]" in str(refused.value)

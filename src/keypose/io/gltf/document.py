@@ -371,9 +371,10 @@ def _plain_node(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> 
     if not value.keys() <= _JOINT_KEYS:
         return None
     get = value.get
-    name, children, extras, count = get("name", ""), get("children", ()), get("extras", {}), sizes["nodes"]
+    name, children, extras, count = get("name", ""), get("children", []), get("extras", {}), sizes["nodes"]
     if (
         type(name) is not str
+        or type(children) is not list
         or type(extras) is not dict
         or not all(type(c) is int and 0 <= c < count for c in children)
     ):
@@ -383,7 +384,11 @@ def _plain_node(value: dict[str, Any], where: str, sizes: Mapping[str, int]) -> 
         if part is None:
             if key in value:
                 return None
-        elif len(part) != width or not all(type(v) in (int, float) and -1e30 < v < 1e30 for v in part):
+        elif (
+            type(part) is not list
+            or len(part) != width
+            or not all(type(v) in (int, float) and -1e30 < v < 1e30 for v in part)
+        ):
             return None
     t, r, s = (None if part is None else tuple(map(float, part)) for part in parts)
     return Node(name, tuple(children), None, None, t, r, s, None, None, extras, (), where)
