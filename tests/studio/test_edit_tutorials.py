@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -66,7 +67,18 @@ def save(ui: EditUi, path: Path) -> Document:
     return file.load(path)
 
 
-def test_a_bouncing_ball_with_squash_and_stretch(visit: Visit, start: Start, tmp_path: Path) -> None:
+def run_example(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The Python of a tutorial, in the folder where it was saved; what it has named."""
+    text = (Path(__file__).resolve().parents[2] / "docs" / "tutorials" / page).read_text(encoding="utf-8")
+    named: dict[str, Any] = {}
+    monkeypatch.chdir(folder)
+    exec(text.split("```python\n")[1].split("```")[0], named)
+    return named
+
+
+def test_a_bouncing_ball_with_squash_and_stretch(
+    visit: Visit, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     server = start()
     ui = EditUi(visit(server, size=(1280, 720)), server)
     begin(ui, "Bounce", "ball")
@@ -118,9 +130,11 @@ def test_a_bouncing_ball_with_squash_and_stretch(visit: Visit, start: Start, tmp
     document = save(ui, tmp_path / "bounce.keypose")
     assert document_bytes(document) == ui.bytes()
     assert_page_is_python(ui, document, "Ball", ["Ball", "Squash", "Level"], [0, 3.5, 10, 14, 25.25, 38])
+    named = run_example("bouncing-ball.md", tmp_path, monkeypatch)
+    assert named["pose"].translations[0][1] == pytest.approx(RADIUS, abs=1e-6)
 
 
-def test_a_waving_character(visit: Visit, start: Start, tmp_path: Path) -> None:
+def test_a_waving_character(visit: Visit, start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     server = start()
     ui = EditUi(visit(server, size=(1280, 720)), server)
     begin(ui, "Hello", "human")
@@ -189,6 +203,9 @@ def test_a_waving_character(visit: Visit, start: Start, tmp_path: Path) -> None:
     character = next(iter(document.characters))
     joints = ["RightArm", "RightForeArm", "Head", "Hips", "LeftArm"]
     assert_page_is_python(ui, document, character, joints, [0, 6.5, 12, 15, 21.3, 44, 72])
+    motion = run_example("waving-character.md", tmp_path, monkeypatch)["motion"]
+    forearm = euler.from_quat(motion.pose.rotations[:, motion.joint_names.index("RightForeArm")], "XYZ")[:, 2]
+    assert np.allclose(np.asarray(forearm)[[12, 17, 22, 27, 32, 37]] * degrees, [-65, -110] * 3, atol=1e-4)
     # the file opens again in the page, as it was
     ui.press("Control+o")
     ui.test_id("listing").wait_for()
