@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from keypose.editing import channels as _channels
@@ -13,6 +14,7 @@ from keypose.editing import filters as _filters
 from keypose.editing import keys as _keys
 from keypose.editing import modes as _modes
 from keypose.editing import moves as _moves
+from keypose.editing import simplify as _simplify
 from keypose.editing import timing as _timing
 from keypose.editing.operator_types import Operated, Operator, Parameter, count_keys, number, state_error
 from keypose.editing.selection import Selection, chosen_channels, chosen_keys, edited, with_curves
@@ -69,6 +71,18 @@ def _run_smooth(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping
         )
 
     return Operated(edited(clip, selection, change))
+
+
+def _run_simplify(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[str, Any]) -> Operated:
+    chosen = chosen_channels(clip, selection)
+    if not chosen:
+        return Operated(clip)
+    part = replace(clip, curves={c: clip.curves[c] for c in chosen})
+    found = _simplify.simplify(part, skeleton, p["tolerance_mm"] / 1000.0, rate_hz=p["rate_hz"] or None)
+    kept = {c: curve for c, curve in clip.curves.items() if c not in part.curves}
+    made = with_curves(replace(clip, curves=kept), found.clip.curves)
+    kept_to = "" if found.holds else ", more than was asked"
+    return Operated(made, f"{count_keys(clip, made)}; the body within {1000 * found.error_m:.2f} mm{kept_to}")
 
 
 def _run_resample(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[str, Any]) -> Operated:
@@ -221,6 +235,19 @@ KEY_OPERATORS: tuple[Operator, ...] = (
         ),
         "keys",
         _run_smooth,
+    ),
+    Operator(
+        "simplify",
+        "Simplify",
+        "Leaves as few keys as keep the body where it is.",
+        (
+            number(
+                "tolerance_mm", 1.0, 0.001, 1000.0, "How far any point of the body may be moved, at any frame.", "mm"
+            ),
+            number("rate_hz", 0.0, 0.0, 1000.0, "Frames in a second; 0 for the clip's own.", "Hz"),
+        ),
+        "channels",
+        _run_simplify,
     ),
     Operator(
         "resample",

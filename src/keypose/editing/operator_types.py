@@ -69,7 +69,7 @@ def number(
 def name_label(name: str) -> str:
     """A parameter's name for people: without the unit at its end."""
     stem, _, end = name.rpartition("_")
-    return (stem if stem and end in ("s", "m", "hz", "deg") else name).replace("_", " ").capitalize()
+    return (stem if stem and end in ("s", "m", "mm", "hz", "deg") else name).replace("_", " ").capitalize()
 
 
 def count_keys(before: Clip, after: Clip) -> str:
