@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,23 @@ from client_node import answers, client_program
 
 from keypose import evaluate
 from keypose.editing.tangents import update_tangents
-from keypose.math import euler
-from keypose.model import ROTATION_ONLY, Curve, CurveKind, Extrapolation, Interpolation, Tangent
+from keypose.math import euler, quat
+from keypose.model import (
+    ROTATION_ONLY,
+    Channel,
+    Character,
+    Clip,
+    Curve,
+    CurveKind,
+    Extrapolation,
+    Interpolation,
+    Pose,
+    Property,
+    Scene,
+    Skeleton,
+    Tangent,
+)
+from keypose.studio.payload import encode
 
 SCRIPT = """
 import { Curve } from "@/anim/curve";
@@ -41,7 +57,7 @@ const operations = {
       last = keys.transformKeys(c, Uint32Array.from(indices), transform, null, made.at(-2));
       made.push(last.curve === c ? null : last.curve);
     }
-    return { curve: keys.compact(last.curve), indices: last.indices };
+    return { curve: keys.compact(last.curve, c), indices: last.indices };
   },
   retime: (c, { indices, rate }) => keys.retimeKeys(c, Uint32Array.from(indices), (t) => Math.round(t * rate) / rate),
   duplicate: (c, { indices, shift }) => keys.duplicateKeys(c, Uint32Array.from(indices), shift),
@@ -401,3 +417,64 @@ def test_an_ease_is_the_css_curve(program: Path) -> None:
     u = np.linspace(0, 1, 41)
     x, y = (3 * (1 - u) ** 2 * u * a + 3 * (1 - u) * u**2 * b + u**3 for a, b in ((0.42, 0.58), (0.0, 1.0)))
     assert np.allclose(evaluate.sample_curve(eased, 1 + 2 * x)[:, 0], 2 + 4 * y)
+
+
+# ---- as they travel --------------------------------------------------------------------------------------------------
+
+TRAVEL = """
+import { ClipAnimation, curveArrays } from "@/anim/animation";
+import { Pose, Rig } from "@/anim/rig";
+import { Arrays, unpack } from "@/net/container";
+
+function answer({ bytes, times }) {
+  const container = unpack(Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0)).buffer);
+  const { header } = container, arrays = new Arrays(container);
+  const [character] = header.characters, [clip] = header.animations;
+  const rig = new Rig(character.skeleton, arrays, [0, 0]);
+  const bound = new ClipAnimation(clip, arrays, "s1", 0).bind(rig, ["blink", "smile"]);
+  const pose = new Pose(rig.count, 2);
+  const list = (a) => a && [...a];
+  return {
+    poses: times.map((time) => {
+      bound.apply(time, pose);
+      return [pose.translations, pose.rotations, pose.scales, pose.morphs].map(list);
+    }),
+    curves: clip.curves.map((c) => ({ ...curveArrays(c, arrays), target: c.target, property: c.property, component: c.component, types: c.types && list(arrays.uint8(c.types)) })).map(
+      (c) => Object.fromEntries(Object.entries(c).map(([k, v]) => [k, ArrayBuffer.isView(v) ? [...v] : v])),
+    ),
+  };
+}
+"""
+
+
+def test_a_clip_of_angles_and_single_components_moves_as_in_python(tmp_path: Path, rng: np.random.Generator) -> None:
+    rest = Pose(rng.normal(size=(3, 3)), quat.normalize(rng.normal(size=(3, 4))), np.ones((3, 3)))
+    skeleton = Skeleton(("root", "arm", "hand"), np.array([-1, 0, 1]), rest)
+    bezier, kinds = Interpolation.BEZIER, CurveKind
+    types = np.full((9, 2), Tangent.CLAMPED)
+    curves = {
+        Channel("root", Property.TRANSLATION, 1): random_curve(rng, kinds.SCALAR, bezier, types=types),
+        Channel("root", Property.TRANSLATION): random_curve(rng, kinds.VECTOR, bezier),
+        Channel("root", Property.EULER, 2): random_curve(rng, kinds.SCALAR, bezier),
+        Channel("arm", Property.EULER): random_curve(rng, kinds.EULER, bezier, after=Extrapolation.CYCLE_OFFSET),
+        Channel("arm", Property.EULER, 0): random_curve(rng, kinds.SCALAR, Interpolation.LINEAR),
+        Channel("arm", Property.SCALE, 2): random_curve(rng, kinds.SCALAR, Interpolation.STEP),
+        Channel("hand", Property.ROTATION): random_curve(rng, kinds.ROTATION, Interpolation.SQUAD),
+        Channel("smile", Property.WEIGHT): random_curve(rng, kinds.SCALAR, Interpolation.HERMITE),
+        Channel("lamp", Property.VALUE): random_curve(rng, kinds.COLOR, bezier),
+    }
+    clip = Clip(curves, "all", euler_orders={"arm": "zxy"})
+    data = encode(Scene((Character(skeleton),), (clip,)), id="s1", name="all")
+    times = np.linspace(-2, 8, 61)
+    program = client_program(TRAVEL, tmp_path)
+    (answer,) = answers(program, {"bytes": base64.b64encode(data).decode(), "times": times.tolist()})
+    pose, morphs = evaluate.sample_clip(clip, skeleton, times), evaluate.sample_morphs(clip, ["blink", "smile"], times)
+    for n, row in enumerate(answer["poses"]):
+        for got, expected in zip(row, (pose.translations, pose.rotations, pose.scales, morphs), strict=True):
+            assert np.allclose(got, np.asarray(expected)[n].ravel(), atol=1e-12)
+    sent = {(c["target"], c["property"], c["component"]): c for c in answer["curves"]}
+    for channel, curve in curves.items():
+        own = sent[channel.target, channel.property.value, channel.component]
+        assert own["kind"] == curve.kind.value
+        for name, array in (("inHandles", curve.in_handles), ("types", curve.tangent_types)):
+            assert own[name] == (None if array is None else np.asarray(array).ravel().tolist())

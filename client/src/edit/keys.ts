@@ -88,12 +88,12 @@ function spareOf(old: EditCurve | null, curve: EditCurve): Spare | null {
   return out as Spare;
 }
 
-/** The same curve with arrays that hold no more memory than they need. */
-export function compact(curve: EditCurve): EditCurve {
+/** The same curve with arrays that hold no more memory than they need; those of `base` stay what they are. */
+export function compact(curve: EditCurve, base: EditCurve): EditCurve {
   const out: Draft = { ...curve };
   for (const name of ARRAYS) {
     const array = curve[name];
-    if (array && array.buffer.byteLength !== array.byteLength) (out as Record<string, unknown>)[name] = array.slice();
+    if (array && array !== base[name] && array.buffer.byteLength !== array.byteLength) (out as Record<string, unknown>)[name] = array.slice();
   }
   return out;
 }

@@ -130,7 +130,10 @@ abstract class KeyDrag implements Drag {
       return;
     }
     const changes = new Map<string, EditCurve>();
-    for (const [key, { curve }] of this.results) if (curve !== this.base.get(key)) changes.set(key, compact(curve));
+    for (const [key, { curve }] of this.results) {
+      const base = this.base.get(key)!;
+      if (curve !== base) changes.set(key, compact(curve, base));
+    }
     const { selection } = this;
     editor.commit(this.label, { curves: new Map([[editor.clip!.name, changes]]) });
     editor.selection = selection;
