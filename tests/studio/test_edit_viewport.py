@@ -360,6 +360,44 @@ def test_an_arrow_follows_the_pointer(edit_crooked: View) -> None:
     drop(view)
 
 
+def test_the_outer_ring_turns_about_the_view_and_the_ball_inside_freely(edit_crooked: View) -> None:
+    view = edit_crooked
+    view.tools(tool="rotate", space="local", turns="individual")
+    view.select("Joint2")
+    before, place = unit(view.axes("Joint2")), view.place("Joint2")
+    camera = view.ask("camera")
+    eye = np.subtract(camera["position"], place)
+    gizmo = view.ask("gizmo")
+    start, centre = np.array(gizmo["handles"]["screen"]), np.array(gizmo["centre"])
+    # against the clock on the screen, whose y points down
+    view.drag(list(start), list(centre + about([0, 0, 1], -35)[:2, :2] @ (start - centre)))
+    turned = Rotation.from_matrix(unit(view.axes("Joint2")) @ before.T).as_rotvec(degrees=True)
+    forward = np.subtract(camera["position"], camera["target"])
+    np.testing.assert_allclose(turned, 35 * forward / np.linalg.norm(forward), atol=0.6)
+    assert turned @ eye > 0
+    drop(view)
+    # to the right: about what is up in the picture
+    start = np.array(view.ask("gizmo")["handles"]["free"])
+    view.drag(list(start), list(start + np.array([55, 0])))
+    turned = Rotation.from_matrix(unit(view.axes("Joint2")) @ before.T).as_rotvec()
+    assert np.linalg.norm(turned) == pytest.approx(0.5, abs=0.03)
+    assert turned[1] > 0.45 and abs(turned @ forward) < 1e-6 * np.linalg.norm(forward) + 1e-3
+    drop(view)
+
+
+def test_a_plane_lets_two_axes_go(edit_crooked: View) -> None:
+    view = edit_crooked
+    view.tools(tool="move", space="global", turns="individual")
+    view.select("Root")
+    before = np.array(view.ask("pointOf", "Root"))
+    start = np.array(view.ask("gizmo")["handles"]["xy"])
+    view.drag(list(start), list(start + np.array([30, -25])))
+    moved = view.place("Root")
+    assert moved[2] == 0 and abs(moved[0]) > 0.01 and moved[1] > 0.01
+    np.testing.assert_allclose(np.array(view.ask("pointOf", "Root")) - before, [30, -25], atol=3)
+    drop(view)
+
+
 # ---- selecting -------------------------------------------------------------------------------------------------------
 
 

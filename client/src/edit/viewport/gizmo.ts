@@ -302,7 +302,14 @@ export class Gizmo {
   pointOf(handle: Handle): [number, number] | null {
     if (!this.present || this.mode === null) return null;
     if (this.mode === "rotate") {
-      if (handle === "free") return this.screen(new THREE.Vector3(0.2, 0.2, 0), true);
+      if (handle === "free") {
+        // somewhere inside that lies on no ring
+        for (let n = 0; n < 24; n++) {
+          const at = this.screen(new THREE.Vector3(0.5 * Math.cos(n), 0.5 * Math.sin(n), 0), true);
+          if (at && this.handleAt(...at) === "free") return at;
+        }
+        return null;
+      }
       if (handle === "screen") return this.screen(new THREE.Vector3(SCREEN_RING * Math.SQRT1_2, SCREEN_RING * Math.SQRT1_2, 0), true);
       if (handle !== "x" && handle !== "y" && handle !== "z") return null;
       const seen = this.ring(handle).filter((p): p is [number, number] => p !== null && this.handleAt(...p) === handle);

@@ -5,7 +5,7 @@ import { bindTimeline } from "../../anim/timeline";
 import { Pose } from "../../anim/rig";
 import type { Actor } from "../../view/actor";
 import type { Viewport } from "../../view/viewport";
-import type { Changes, Editor, EditCurve } from "../contract";
+import type { Changes, EditClip, EditCurve, Editor } from "../contract";
 import { clipTime } from "../document";
 import { refreshTangents } from "../keys";
 import { keyAt, valueAtKey, withKey } from "../posing";
@@ -13,6 +13,24 @@ import { parentColumns, startOf } from "./manipulate";
 import type { PathKey, PathKeys } from "./paths";
 import { CameraSight } from "./sight";
 import { add, dot, length, scaled, solve, subtract, type Vec } from "./spaces";
+
+const curvesOf = new WeakMap<EditClip, Map<string, EditCurve[]>>();
+
+/** Curves of joints by name. */
+function byJoint(clip: EditClip): Map<string, EditCurve[]> {
+  let found = curvesOf.get(clip);
+  if (!found) {
+    curvesOf.set(clip, (found = new Map()));
+    for (const curve of clip.curves.values()) {
+      const { target, property } = curve.channel;
+      if (property === "weight" || property === "value") continue;
+      const own = found.get(target);
+      if (own) own.push(curve);
+      else found.set(target, [curve]);
+    }
+  }
+  return found;
+}
 
 /**
  * The keys that a joint's path shows: those of its place where it moves by itself, and these can be dragged; else those of
@@ -25,7 +43,7 @@ export function pathKeys(editor: Editor, joint: number): PathKeys {
   if (!actor || !clip || !placement) return none;
   const { rig } = actor;
   for (let j = joint; j >= 0; j = rig.parents[j]) {
-    const own = [...clip.curves.values()].filter((c) => c.channel.target === rig.names[j] && c.channel.property !== "weight");
+    const own = byJoint(clip).get(rig.names[j]) ?? [];
     const moves = (c: EditCurve) => c.channel.property === "translation" && (c.times.length > 1 || rig.parents[j] < 0);
     const places = j === joint ? own.filter(moves) : [];
     // one key does not move anything
