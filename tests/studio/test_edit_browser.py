@@ -487,3 +487,30 @@ def test_nothing_overlaps_and_everything_says_what_it_is(ui: EditUi, size: tuple
         assert page.evaluate(silent) == [], tab
     assert page.evaluate(crowded) == []
     page.set_viewport_size({"width": 1280, "height": 720})
+
+
+def test_an_imported_animation_is_placed_and_renamed(ui: EditUi) -> None:
+    ui.test_id("project-menu").click()
+    ui.page.get_by_role("menuitem", name="Import an animation…").click()
+    ui.test_id("import-bounce").click()
+    ui.studio.until(
+        lambda: len(ui.page.evaluate("[...keypose.editor.document.clips.keys()]")) == 2, "the clip is there"
+    )
+    ui.settled()
+    name = ui.page.evaluate("[...keypose.editor.document.clips.keys()][1]")
+    ui.frame(10)
+    ui.tab("clip")
+    ui.test_id("place-clip").select_option(name)
+    ui.settled()
+    assert ui.state()["clip"] == name
+    placed = ui.state()["timeline"]["layers"][0]["placements"][1]
+    assert (placed["animation"], placed["start"]) == (name, 0.4)
+    document = ui.document()
+    skeleton = document.character("Ball").skeleton
+    for frame in (10, 14.5, 30):
+        pose = evaluate.sample_timeline(document.timeline("Ball"), document.clips, skeleton, frame / 25)
+        assert np.abs(np.array(ui.local("Ball", frame)["translation"]) - pose.translations[0]).max() < 1e-6
+    ui.page.locator(".placement.active").dblclick()
+    ui.page.keyboard.type("hop")
+    ui.page.keyboard.press("Enter")
+    ui.studio.until(lambda: ui.state()["clip"] == "hop", "it has another name everywhere")

@@ -33,6 +33,7 @@ export function coreCommands(): Command[] {
     file("project.save-as", "Save as…", "Ctrl+Shift+S", () => (project.dialog = "save")),
     file("project.recover", "Recover unsaved work…", "", () => (project.dialog = "recover"), { when: () => project.recoverable.length > 0 }),
     file("project.export", "Export…", "Ctrl+E", () => (project.dialog = "export"), { when: some }),
+    file("project.import", "Import an animation…", "", () => (project.dialog = "clip")),
     file("project.character", "Add a character…", "Shift+A", () => (project.dialog = "character"), { area: "viewport" }),
 
     edit("edit.undo", "Undo", ["Ctrl+Z", "Ctrl+Z Z"], () => editor.undo()),

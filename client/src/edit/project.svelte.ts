@@ -25,7 +25,7 @@ import type { Link, Scope, Values } from "./link";
 import { operators } from "./operators.svelte";
 import { commandsOf, readChanged, readState } from "./wire";
 
-export type Dialog = "new" | "open" | "save" | "recover" | "export" | "character";
+export type Dialog = "new" | "open" | "save" | "recover" | "export" | "character" | "clip";
 /** What waits for an answer to "there are unsaved changes". */
 export interface Guarded {
   readonly what: string;
@@ -232,6 +232,7 @@ export class Project implements Link {
 
   /** Do something that puts another project in the place of this one; ask first where that would surprise. */
   guard(what: string, go: (discard: boolean) => void): void {
+    this.offered = true; // who begins or opens something has decided
     const worth = this.unsaved && (this.document.characters.length > 0 || this.document.clips.size > 0);
     if (worth) this.guarded = { what, go };
     else go(false);
