@@ -24,9 +24,10 @@ export function readCurveColors(element: Element): CurveColors {
 
 /** Place in the palette: 0 to 2 the axes, from 3 on the hues of scalars, by name so that they stay the same. */
 export function hueOf(name: string): number {
-  let hash = 0;
-  for (let n = 0; n < name.length; n++) hash = (hash * 31 + name.charCodeAt(n)) | 0;
-  return 3 + (Math.abs(hash) % 6);
+  let hash = 0x811c9dc5;
+  for (let n = 0; n < name.length; n++) hash = Math.imul(hash ^ name.charCodeAt(n), 0x01000193);
+  hash = Math.imul(hash ^ (hash >>> 15), 0x2c1b3c6d);
+  return 3 + (((hash ^ (hash >>> 13)) >>> 0) % 6);
 }
 
 export function paint(colors: CurveColors, hue: number): string {

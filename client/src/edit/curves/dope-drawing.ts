@@ -1,7 +1,7 @@
 // The dope sheet: a row for everything, each target, property and component; keys as diamonds, bars where nothing moves.
 
 import { Mode, type EditCurve, type KeySelection } from "../contract";
-import { paint, type CurveColors } from "./colors";
+import { hueOf, paint, type CurveColors } from "./colors";
 import { isSelected } from "./selection";
 import { visibleKeys } from "./shapes";
 import type { Row } from "./tree";
@@ -240,8 +240,4 @@ function several(scene: DopeScene, curves: readonly EditCurve[], y: number, path
   bands?.end();
 }
 
-export function hueOfLayer(colors: CurveColors, name: string): string {
-  let hash = 7;
-  for (let n = 0; n < name.length; n++) hash = (hash * 33 + name.charCodeAt(n)) | 0;
-  return paint(colors, 3 + (Math.abs(hash) % 6));
-}
+export const hueOfLayer = (colors: CurveColors, name: string): string => paint(colors, hueOf(name));

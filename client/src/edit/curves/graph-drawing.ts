@@ -91,7 +91,7 @@ export function drawLines(c: Context, scene: GraphScene, dragged: ReadonlyMap<st
     c.globalAlpha = strength * (moving === undefined ? 0.45 : 0.2);
     c.setLineDash(many || (curve.before === "hold" && curve.after === "hold") ? [] : [4, 3]);
     c.beginPath();
-    traceOutside(c, shape, view);
+    traceOutside(c, shape, view, many ? 3 : 1);
     c.stroke();
     c.setLineDash(muted.has(line.channel) ? [5, 4] : []);
     c.globalAlpha = strength;

@@ -184,11 +184,13 @@ export class CurveSession {
   /** Lines that the graph shows: found, neither hidden nor outvoted by others that are solo or picked. */
   shapes(curves: ReadonlyMap<string, EditCurve> = this.curves()): Shape[] {
     const { hidden } = this.editor, { solo, hiddenLines } = this;
-    const wanted = this.pickedLines();
+    const wanted = this.pickedLines(), listed = this.rows[0]?.channels ?? [];
+    // what is solo in another clip says nothing here
+    const alone = solo.size > 0 && listed.some((key) => solo.has(key));
     const out: Shape[] = [];
-    for (const key of this.rows[0]?.channels ?? []) {
+    for (const key of listed) {
       const curve = curves.get(key);
-      if (!curve || hidden.has(key) || (solo.size > 0 && !solo.has(key))) continue;
+      if (!curve || hidden.has(key) || (alone && !solo.has(key))) continue;
       for (const line of this.linesOf(curve)) {
         if (hiddenLines.has(line.id) || (wanted && !wanted.has(line.id))) continue;
         const [factor, offset] = this.normalised ? this.norm(curve, line) : [line.unit, 0];
@@ -294,11 +296,18 @@ export class CurveSession {
 
   // ---- dragging ------------------------------------------------------------------------------------------------------
 
-  begin(drag: Drag): void {
+  /** False, and said why, where keys cannot be changed. */
+  begin(drag: Drag): boolean {
     this.menu = null;
+    const { layer } = this.editor;
+    if (drag.base && layer?.locked) {
+      this.editor.toast("info", "This layer is locked", `Unlock “${layer.name}” in the layers panel to change its keys.`);
+      return false;
+    }
     this.freeze();
     this.drag = drag;
     this.schedule();
+    return true;
   }
 
   private freeze(): void {

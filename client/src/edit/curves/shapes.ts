@@ -155,7 +155,7 @@ export function pathOf(shape: Shape, view: View): { path: Path2D; keys: Path2D; 
 }
 
 /** Before the first and after the last key: what extrapolation makes of the curve, to the edges of the view. */
-export function traceOutside(pen: Pen, shape: Shape, view: View): void {
+export function traceOutside(pen: Pen, shape: Shape, view: View, pixels: number): void {
   const { curve, line } = shape;
   const { times, components, values } = curve;
   const y = (value: number) => view.toY(shownValue(shape, value));
@@ -173,7 +173,7 @@ export function traceOutside(pen: Pen, shape: Shape, view: View): void {
       continue;
     }
     const sampler = evaluator(curve);
-    const steps = rule === "linear" && curve.kind !== "rotation" ? 1 : Math.ceil(Math.abs(edge - start) / 3);
+    const steps = rule === "linear" && curve.kind !== "rotation" ? 1 : Math.ceil(Math.abs(edge - start) / pixels);
     for (let s = start === near ? 1 : 0; s <= steps; s++) {
       const x = start + ((edge - start) * s) / steps;
       sampler.sample(view.clipTime(x), value4, 0);
