@@ -170,7 +170,7 @@ def load_damaged(files: Sequence[Path], count: int, folder: Path, first_seed: in
     with ``slowest``, and ``peak_mib`` of the child's resident memory.
     """
     command = [sys.executable, __file__, str(folder), str(first_seed), str(count), *map(str, files)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
     if run.returncode != 0:
         raise AssertionError(f"the child that loads damaged files died ({run.returncode}):\n{run.stderr[-4000:]}")
     return json.loads(run.stdout.splitlines()[-1])
@@ -193,6 +193,8 @@ def _child(folder: Path, first_seed: int, count: int, files: Sequence[Path]) -> 
     def hang(*_: object) -> None:
         raise TimeoutError("more than 10 s")
 
+    # Seconds of this process: what else the machine does is not the reader's fault; one that waits is caught later.
+    signal.signal(signal.SIGPROF, hang)
     signal.signal(signal.SIGALRM, hang)
     sound = [(path, path.read_bytes()) for path in files]
     result = {"loaded": 0, "refused": 0, "wrong": [], "slowest_s": 0.0, "slowest": ""}
@@ -200,8 +202,9 @@ def _child(folder: Path, first_seed: int, count: int, files: Sequence[Path]) -> 
         path, data = sound[seed % len(sound)]
         target = folder / f"damaged{path.suffix}"
         target.write_bytes(damaged(data, seed))
-        signal.alarm(10)
-        start = time.perf_counter()
+        signal.setitimer(signal.ITIMER_PROF, 10)
+        signal.alarm(120)
+        start = time.process_time()
         try:
             scene = keypose.io.load(target)
             outcome = "loaded"
@@ -213,8 +216,9 @@ def _child(folder: Path, first_seed: int, count: int, files: Sequence[Path]) -> 
         except BaseException as error:
             outcome = ""
             result["wrong"].append(f"seed {seed}, {path.name}: {type(error).__name__}: {str(error)[:200]}")
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.alarm(0)
-        elapsed = time.perf_counter() - start
+        elapsed = time.process_time() - start
         if elapsed > result["slowest_s"]:
             result["slowest_s"], result["slowest"] = elapsed, f"seed {seed}, {path.name}"
         if outcome:

@@ -61,9 +61,9 @@ def test_floods_of_one_thing(tmp_path: Path, letter: str) -> None:
     from keypose.errors import FormatError
 
     for path in files:
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             keypose.io.load(path)
         except FormatError as error:
             assert len(str(error)) < 600
-        assert time.perf_counter() - start < 5, path.name
+        assert time.process_time() - start < 5, path.name

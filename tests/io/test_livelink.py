@@ -209,9 +209,9 @@ def test_floods_of_one_thing(path: Path, flood: str) -> None:
 
     for text in (HEADER + flood * (500_000 // len(flood)) + "\n", HEADER + "\n" + flood * (500_000 // len(flood))):
         path.write_text(text)
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             keypose.io.load(path)
         except FormatError as error:
             assert len(str(error)) < 600
-        assert time.perf_counter() - start < 5
+        assert time.process_time() - start < 5

@@ -401,12 +401,12 @@ def test_floods_of_one_thing(tmp_path: Path, flood: str) -> None:
     import time
 
     path = written(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\n" * 3 + flood * (1_000_000 // len(flood)) + "\nf 1 2 3\n")
-    start = time.perf_counter()
+    start = time.process_time()
     try:
         keypose.io.load(path)
     except FormatError as error:
         assert len(str(error)) < 600
-    assert time.perf_counter() - start < 8
+    assert time.process_time() - start < 8
 
 
 def test_too_many_groups_are_refused(tmp_path: Path) -> None:

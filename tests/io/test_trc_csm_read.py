@@ -238,9 +238,9 @@ def test_floods_of_one_thing(tmp_path: Path, suffix: str, letter: str) -> None:
     text = TRC if suffix == "trc" else CSM
     flood = letter * (500_000 // len(letter))
     for place in (0, 60, 110, 230, len(text)):
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             _load(tmp_path, text[:place] + flood + text[place:], suffix)
         except FormatError as error:
             assert len(str(error)) < 600
-        assert time.perf_counter() - start < 5, place
+        assert time.process_time() - start < 5, place
