@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import BPoly, CubicHermiteSpline
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation, Slerp
 
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_curve
-from keypose.math import quat
+from keypose.math import quat, rotation_splines
 from keypose.model import Curve, CurveKind, Extrapolation, Interpolation
 from tests.synthetic import random_rotations
 
@@ -199,7 +200,7 @@ def test_linear_extrapolation_goes_on_with_the_speed_at_the_ends(mode: Interpola
         assert_allclose(third[2] - third[1], third[1] - third[0], atol=1e-14)
 
 
-@pytest.mark.parametrize("mode", [LINEAR, HERMITE])
+@pytest.mark.parametrize("mode", [LINEAR, HERMITE, *SPHERE])
 def test_linear_extrapolation_of_a_rotation_keeps_its_angular_velocity(mode: Interpolation) -> None:
     curve = make(CurveKind.ROTATION, mode, before=Extrapolation.LINEAR, after=Extrapolation.LINEAR)
     h = 1e-5
@@ -324,3 +325,67 @@ def test_torch_agrees_and_gradients_are_those_of_finite_differences(
     ]
     assert_allclose(sampled(*inputs).detach().numpy(), sample_curve(plain, times), atol=1e-12)
     assert torch.autograd.gradcheck(sampled, inputs, atol=1e-6)
+
+
+# --- handles and splines on the sphere --------------------------------------------------------------------------------
+
+
+def test_a_bezier_span_is_the_plane_curve_of_seconds_and_value() -> None:
+    """Against SciPy's Bernstein polynomials with the time solved by bisection."""
+    curve = make(CurveKind.SCALAR, BEZIER)
+    for k in range(4):
+        span = TIMES[k + 1] - TIMES[k]
+        out, back = curve.out_handles[k, 0], curve.in_handles[k + 1, 0]
+        out, back = out * min(1, span / out[0]), back * min(1, span / -back[0])
+        x = BPoly(np.array([0, out[0], span + back[0], span])[:, None], [0, 1])
+        y0, y1 = curve.values[k, 0], curve.values[k + 1, 0]
+        y = BPoly(np.array([y0, y0 + out[1], y1 + back[1], y1])[:, None], [0, 1])
+        for share in (0.07, 0.3, 0.62, 0.95):
+            u = brentq(lambda u, x=x, at=share * span: float(x(u)) - at, 0, 1, xtol=1e-15)
+            assert_allclose(sample_curve(curve, TIMES[k] + share * span)[0], y(u), atol=1e-6)
+
+
+@pytest.mark.parametrize("rule", Extrapolation)
+def test_handles_have_gradients(rule: Extrapolation) -> None:
+    torch = pytest.importorskip("torch")
+    rng = np.random.default_rng(3)
+    values = rng.normal(size=(5, 2))
+    out = np.stack([np.full((5, 2), 0.02), rng.normal(size=(5, 2))], -1)
+    back = np.stack([np.full((5, 2), -0.015), rng.normal(size=(5, 2))], -1)
+    times = np.array([-0.6, 0.1, 0.2, 0.37, 0.8, 1.9, 2.5, 3.3])
+
+    def sampled(values: object, back: object, out: object) -> object:
+        return sample_curve(
+            Curve(TIMES, values, BEZIER, in_handles=back, out_handles=out, before=rule, after=rule), times
+        )
+
+    inputs = [torch.tensor(a, requires_grad=True) for a in (values, back, out)]
+    assert_allclose(sampled(*inputs).detach().numpy(), sampled(values, back, out), atol=1e-12)
+    assert torch.autograd.gradcheck(sampled, inputs, atol=1e-5, eps=1e-7)
+
+
+def test_linear_extrapolation_goes_on_along_handles() -> None:
+    curve = make(CurveKind.VECTOR, BEZIER, before=Extrapolation.LINEAR, after=Extrapolation.LINEAR)
+    before, after = curve.out_handles[0], curve.in_handles[-1]
+    assert_allclose(sample_curve(curve, START - 2), curve.values[0] - 2 * before[:, 1] / before[:, 0])
+    assert_allclose(sample_curve(curve, END + 2), curve.values[-1] + 2 * after[:, 1] / after[:, 0])
+    upright = Curve([0.0, 1.0], [[0.0], [3.0]], BEZIER, after=Extrapolation.LINEAR,
+                    in_handles=np.array([[[0.0, 1]], [[0, 1]]]), out_handles=np.zeros((2, 1, 2)))  # fmt: skip
+    assert_allclose(sample_curve(upright, 2.0), [6.0])  # along the chord
+
+
+@pytest.mark.parametrize("mode", SPHERE)
+def test_splines_on_the_sphere_are_those_of_the_mathematics(mode: Interpolation) -> None:
+    curve = make(CurveKind.ROTATION, mode)
+    method = mode.name.lower()
+    times = np.linspace(-0.2, 3, 211)
+    same_rotation(sample_curve(curve, times), rotation_splines.interpolate(curve.values, TIMES, times, method), 1e-12)
+    for t in times[::20]:  # a few spans alone are bent by the same neighbours
+        same_rotation(sample_curve(curve, t), rotation_splines.interpolate(curve.values, TIMES, t, method), 1e-12)
+
+
+def test_what_is_on_or_off_comes_back_as_it_was() -> None:
+    curve = Curve(
+        [0.0, 1.0, 2.0], [[0.0], [1.0], [1.0]], STEP, kind=CurveKind.BOOLEAN, after=Extrapolation.CYCLE_OFFSET
+    )
+    assert_array_equal(sample_curve(curve, [2.5, 3.5, 4.5])[:, 0], [0, 1, 0])

@@ -228,6 +228,37 @@ def test_malformed_curves_are_refused(times: Any, values: Any, options: dict[str
         Curve(times, values, **options)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"modes": Interpolation.BEZIER}, r"in_handles: a BEZIER curve needs in_handles of shape \(2, 1, 2\)"),
+        ({"out_handles": np.full((2, 1, 2), -0.5)}, r"out_handles: expected seconds at or after the key, got -0.5 s"),
+        ({"in_handles": np.full((2, 1, 2), 0.25)}, r"in_handles: expected seconds at or before the key, got 0.25 s"),
+        ({"in_handles": np.zeros((2, 2))}, r"in_handles: expected \(2, 1, 2\)"),
+        ({"modes": 9}, r"modes: expected Interpolation \(0 to 6\), got 9"),
+        ({"modes": Interpolation.SQUAD}, "a vector curve cannot have SQUAD"),
+        ({"tangent_types": np.zeros(2)}, r"tangent_types: expected \(2, 2\)"),
+        ({"tangent_types": np.full((2, 2), 7)}, r"tangent_types: expected Tangent \(0 to 5\), got 7"),
+        ({"kind": CurveKind.BOOLEAN}, r"a boolean curve goes in steps"),
+        ({"kind": CurveKind.BOOLEAN, "modes": Interpolation.STEP}, "values: a boolean curve is 0 or 1 at its keys"),
+        ({"kind": CurveKind.COLOR}, r"expected \(2, 3 or 4\) for a color curve, got \(2, 1\)"),
+    ],
+)
+def test_malformed_handles_types_and_kinds_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Curve([0.0, 1.0], [[0.0], [0.5]], **options)
+
+
+def test_channels_have_components_where_that_means_something() -> None:
+    assert str(Channel("hips", Property.EULER, 2)) == "hips.euler.z"
+    for component in (3, -1):
+        with pytest.raises(ShapeError, match=f"component: expected 0, 1, 2 or None, got {component}"):
+            Channel("hips", Property.TRANSLATION, component)
+    for property in (Property.ROTATION, Property.WEIGHT):
+        with pytest.raises(ShapeError, match=f"component: a {property.value} has no components"):
+            Channel("hips", property, 0)
+
+
 def test_one_mode_is_spread_over_all_keys() -> None:
     assert_array_equal(Curve([0, 1, 2], np.zeros((3, 1)), Interpolation.STEP).modes, [0, 0, 0])
     assert Curve([0, 1], np.zeros((2, 1))).key_count == 2
