@@ -27,6 +27,8 @@ import { channelsFor, keyAt, keyBefore, orderOf, rotationOf, setLocal, valueAtKe
 
 interface Pending {
   readonly id: string;
+  /** The revision that holds it, once the server has answered. */
+  readonly revision: number;
   readonly changes: Changes;
 }
 
@@ -95,8 +97,10 @@ export class Editor implements EditorContract {
   // ---- the document ------------------------------------------------------------------------------------------------
 
   /** The whole document, or another one: then nothing of the old one is chosen any more. */
-  take(document: EditDocument, same: boolean): void {
+  take(document: EditDocument, same: boolean, revision: number): void {
     this.confirmed = document;
+    this.revision = revision;
+    this.pending = this.pending.filter((p) => p.revision > revision);
     this.open = true;
     if (!same) {
       this.pending = [];
@@ -112,8 +116,9 @@ export class Editor implements EditorContract {
   }
 
   /** The document after a step of the server; `id` is that of our commit which it holds. */
-  confirm(document: EditDocument, id: string): void {
+  confirm(document: EditDocument, id: string, revision: number): void {
     this.confirmed = document;
+    this.revision = revision;
     this.pending = this.pending.filter((p) => p.id !== id);
     this.show();
   }
@@ -162,16 +167,20 @@ export class Editor implements EditorContract {
       return;
     }
     const id = `${this.session}-${++this.count}`;
-    this.pending = [...this.pending, { id, changes: own }];
+    this.pending = [...this.pending, { id, changes: own, revision: Infinity }];
     this.show();
     const drop = (error: unknown) => {
       this.pending = this.pending.filter((p) => p.id !== id);
       this.show();
       throw error;
     };
-    // it stays shown until the document that holds it has come: `confirm`
-    void this.enqueue(() => link.commit(id, label, own).then(() => {}, drop), `“${label}” was not accepted`);
+    // it stays shown until the document that holds it has come: by `confirm`, or by `take` where that was missed
+    const answered = (revision: number) => {
+      this.pending = this.pending.flatMap((p) => (p.id !== id ? [p] : revision > this.revision ? [{ ...p, revision }] : []));
+    };
+    void this.enqueue(() => link.commit(id, label, own).then(answered, drop), `“${label}” was not accepted`);
   }
+  private revision = -1;
   private readonly session = Math.random().toString(36).slice(2, 10);
   private count = 0;
 

@@ -104,7 +104,7 @@ export class Project implements Link {
     if (!same || state.status.undo === "") this.past = [];
     if (!same || state.status.redo === "") this.future = [];
     this.settle("");
-    editor.take(this.document, same);
+    editor.take(this.document, same, state.status.revision);
     if (!this.offered && state.recoverable.length > 0 && this.document.characters.length === 0) {
       this.dialog = "recover";
       this.offered = true;
@@ -129,7 +129,7 @@ export class Project implements Link {
       for (const { scene } of change.characters) studio.open(scene, "cast");
     }
     this.remember(change);
-    editor.confirm(this.document, change.edit);
+    editor.confirm(this.document, change.edit, change.status.revision);
     this.settle(change.cause);
   }
 
