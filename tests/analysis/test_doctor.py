@@ -227,3 +227,31 @@ def test_real_files(data_dir, name: str, facts: dict[str, Any], topics: set[str]
     found = examine(io.load(data_dir / name))
     assert {key: found.facts[key] for key in facts} == facts
     assert {f.topic for f in found.warnings} == topics
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "level", "fix"),
+    [
+        (60.0, "", ""), (23.976, "", ""), (59.88, "fact", ""), (119.6, "fact", ""),
+        (37.3, "warning", "keypose convert FILE OUT --rate 50"), (61.0, "warning", "keypose convert FILE OUT --rate 60"),
+    ],
+)  # fmt: skip
+def test_rates_that_a_clock_explains_are_left_alone(human: Scene, rate_hz: float, level: str, fix: str) -> None:
+    found = [
+        f
+        for f in examine(changed(human, motion=replace(human.animations[0], rate_hz=rate_hz))).findings
+        if f.topic == "rate"
+    ]
+    assert [(f.level, f.fix) for f in found] == ([(level, fix)] if level else [])
+
+
+def test_sparse_keys_have_no_frame_rate(human: Scene) -> None:
+    """Keys a second apart are no frames: such clips are listed once, whatever their number."""
+    from keypose.model import Channel, Clip, Curve, Property
+
+    curve = Curve(np.arange(4.0), np.eye(4)[:, :3])
+    clips = tuple(Clip({Channel("Hips", Property.TRANSLATION): curve}, name) for name in "abc")
+    found = examine(replace(human, animations=clips))
+    (rate,) = [f for f in found.findings if f.topic == "rate"]
+    assert rate.level == "fact" and rate.text == "3 of 3 clips have keys but no frame rate: a, b, c"
+    assert found.facts["rate_hz"] is None and found.facts["clips"] == 3

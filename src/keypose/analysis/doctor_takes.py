@@ -49,6 +49,8 @@ _RATES_HZ = np.array(
     ],
     np.float64,
 )
+_USUAL_HZ = (24, 25, 30, 50, 60, 100, 120, 240, 480, 1000)  # of these one is chosen to sample at
+_MEANT = 0.05
 _CLOCK = 5e-3  # by how much the clocks of recorders differ
 _SLOWEST_HZ = 10.0  # keys further apart are no frames
 _EDITING_HZ = 30
