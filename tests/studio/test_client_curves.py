@@ -419,6 +419,44 @@ def test_an_ease_is_the_css_curve(program: Path) -> None:
     assert np.allclose(evaluate.sample_curve(eased, 1 + 2 * x)[:, 0], 2 + 4 * y)
 
 
+def test_whatever_is_done_a_curve_stays_one(program: Path, rng: np.random.Generator) -> None:
+    """Keys in order, arrays that fit, handles on their own sides: `Curve` refuses all else."""
+    curves, questions = [], []
+    for _ in range(400):
+        kind = rng.choice(np.array(list(KINDS), object))
+        allowed = [int(m) for m in KINDS[kind][1]]
+        count = int(rng.integers(1, 12))
+        types = rng.integers(0, 6, (count, 2)) if rng.random() < 0.7 else None
+        curve = random_curve(rng, kind, rng.choice(allowed, count), count=count, types=types)
+        indices = np.flatnonzero(rng.random(count) < 0.5)
+        if len(indices) == 0:
+            indices = np.array([0])
+        first, last = curve.times_s[0], curve.times_s[-1]
+        operation, given = [
+            ("transform", {"transform": {**STILL, "scaleTime": float(rng.choice([1, -1, 0, 0.3, -2])),
+                                         "shiftTime": float(rng.normal()), "shiftValue": float(rng.normal())}}),
+            ("retime", {"rate": float(rng.choice([2, 5, 25]))}),
+            ("duplicate", {"shift": float(rng.choice([0, 0.1, -3]))}),
+            ("insert", {"time": float(rng.uniform(first - 0.5, last + 0.5))}),
+            ("paste", {"options": {"at": float(rng.uniform(first, last)), "mirrored": bool(rng.random() < 0.5),
+                                   "offset": bool(rng.random() < 0.5), "overwrite": bool(rng.random() < 0.5)}}),
+            ("mode", {"mode": int(rng.integers(0, 7))}),
+            ("type", {"type": int(rng.integers(0, 6))}),
+            ("ease", {"ease": [0.36, 0, 0.66, -0.56]}),
+            ("handle", {"key": int(indices[0]), "side": int(rng.integers(0, 2)), "seconds": float(rng.normal()), "value": 1.0}),
+        ][int(rng.integers(0, 9))]  # fmt: skip
+        curves.append(curve)
+        questions.append(
+            {"curve": told(curve), "operation": operation, "given": {"indices": indices.tolist(), **given}}
+        )
+    for curve, question, answer in zip(curves, questions, answers(program, *questions), strict=True):
+        done = made(answer["curve"], curve)
+        assert np.all(np.isfinite(done.values)), question
+        places = answer.get("indices") or []
+        assert all(0 <= k < done.key_count for k in places), question
+        assert np.all(np.diff(places) > 0), question
+
+
 # ---- as they travel --------------------------------------------------------------------------------------------------
 
 TRAVEL = """
