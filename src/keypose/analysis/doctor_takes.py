@@ -12,42 +12,10 @@ from keypose.evaluate import key_rate
 from keypose.model import Clip, Markers, Motion, Scene
 
 # Rates that recorders and screens have.
-_RATES_HZ = np.array(
-    [
-        "12",
-        "15",
-        "23.976",
-        "24",
-        "25",
-        "29.97",
-        "30",
-        "48",
-        "50",
-        "59.94",
-        "60",
-        "72",
-        "75",
-        "90",
-        "100",
-        "119.88",
-        "120",
-        "125",
-        "144",
-        "150",
-        "180",
-        "200",
-        "240",
-        "250",
-        "300",
-        "360",
-        "400",
-        "480",
-        "500",
-        "600",
-        "1000",
-        "2000",
-    ],
-    np.float64,
+_RATES_HZ = np.fromstring(
+    "12 15 23.976 24 25 29.97 30 48 50 59.94 60 72 75 90 100 119.88 120 125 144 150 180 200 240 250 300 360 400 480 500 600 "
+    "1000 2000",
+    sep=" ",
 )
 _USUAL_HZ = (24, 25, 30, 50, 60, 100, 120, 240, 480, 1000)  # of these one is chosen to sample at
 _MEANT = 0.05
@@ -88,8 +56,9 @@ def _rate(name: str, rate: float, findings: list[Finding]) -> None:
         text = f"{name} runs at {rate:.6g} Hz: a clock that is {100 * abs(off):.2g}% {'fast' if off > 0 else 'slow'}"
         findings.append(Finding("fact", "rate", text))
         return
-    above = _RATES_HZ[rate < _RATES_HZ]  # the next one up loses nothing
-    fix = f"keypose convert FILE OUT --rate {above[0]:g}" if len(above) else ""
+    # The usual rate that is meant, else the next one up, which loses nothing.
+    meant = [r for r in _USUAL_HZ if abs(rate / r - 1) < _MEANT] or [r for r in _USUAL_HZ if r > rate]
+    fix = f"keypose convert FILE OUT --rate {meant[0]}" if meant else ""
     findings.append(Finding("warning", "rate", f"{name} runs at an unusual {rate:.6g} Hz", fix))
 
 
