@@ -30,7 +30,7 @@ def rewritten(data: bytes, change: Callable[[dict], None]) -> bytes:
     header = json.loads(data[8 : 8 + length])
     fields = json.loads(header["__metadata__"][native.KEY])
     change(fields)
-    header["__metadata__"][native.KEY] = json.dumps(fields)
+    header["__metadata__"] = {native.KEY: json.dumps(fields)}  # who means to change it leaves the checksum out
     text = json.dumps(header).encode()
     return struct.pack("<Q", len(text)) + text + data[8 + length :]
 
@@ -268,3 +268,19 @@ def test_a_timeline_that_does_more_is_baked() -> None:
     assert (motion.rate_hz, motion.name) == (25.0, "tube")
     one = perform(faster, "tube", rate_hz=50.0)
     assert [a.rate_hz for a in one.animations] == [50.0]
+
+
+def test_a_single_flipped_bit_is_told() -> None:
+    """Every array and every number of the JSON is under the checksum."""
+    data = GOLDEN.read_bytes()
+    (length,) = struct.unpack_from("<Q", data)
+    rng = np.random.default_rng(21)
+    for at in rng.integers(8 + length, len(data), 150):
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << int(rng.integers(8))
+        with pytest.raises(FormatError, match="checksum"):
+            native.document_from_bytes(bytes(flipped))
+    numbers = data.replace(b'rate_hz\\":25.0', b'rate_hz\\":26.0')
+    assert numbers != data
+    with pytest.raises(FormatError, match="checksum"):
+        native.document_from_bytes(numbers)

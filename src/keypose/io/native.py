@@ -2,7 +2,8 @@
 
 It is a safetensors file (`keypose.io.tensors`). Its metadata has the document as JSON under ``keypose_project``, with the
 version of the schema; arrays are named there and lie behind it, bit for bit, each once. Characters are inside, with their
-meshes and pictures, so that a project needs no other file. The same document gives the same bytes.
+meshes and pictures, so that a project needs no other file. The same document gives the same bytes, and a checksum of them
+tells of a single flipped bit.
 
 **Versions.** A file of an older schema is migrated step by step on reading (`MIGRATIONS`); one of a newer schema is refused
 and names the version it needs. A schema that was once released never changes: the tests keep a file of each.
@@ -32,6 +33,7 @@ VERSION = 1
 """Of the schema that is written."""
 
 KEY = "keypose_project"
+CHECKSUM = "keypose_checksum"
 LARGEST_BYTES = 8 << 30
 
 MIGRATIONS: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}
@@ -90,7 +92,18 @@ def document_bytes(document: Document) -> bytes:
         "performs": dict(document.performs),
         "settings": {name: setting_json(value) for name, value in document.settings.items()},
     }
-    return pack_tensors(store.arrays, {KEY: json_text(fields)})
+    text = json_text(fields)
+    return pack_tensors(store.arrays, {KEY: text, CHECKSUM: _checksum(text, store.arrays)})
+
+
+def _checksum(text: str, arrays: Mapping[str, Array]) -> str:
+    """Of all that a project is made of, whatever the order of its bytes in the file."""
+    digest = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=16)
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
 
 
 def json_text(fields: dict[str, Any]) -> str:
@@ -116,6 +129,13 @@ def document_from_bytes(data: bytes | memoryview) -> Document:
     text = metadata.get(KEY)
     if not isinstance(text, str):
         raise FormatError("a safetensors file, but no keypose project", where="__metadata__")
+    promised = metadata.get(CHECKSUM)
+    if promised is not None and promised != _checksum(text, arrays):
+        raise FormatError(
+            "its checksum does not fit: bytes of it were changed after it was saved (a tool that means to change it leaves "
+            f"{CHECKSUM} out)",
+            where="__metadata__",
+        )
     root = migrated(parse_json(text.encode("utf-8", "surrogatepass")))
     fetch = fetching(arrays)
     found = {
