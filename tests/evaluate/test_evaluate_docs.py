@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import ROOT
 
 
-@pytest.mark.parametrize("page", ["evaluate.md", "skinning.md", "timeline.md"])
+@pytest.mark.parametrize("page", ["curves.md", "evaluate.md", "skinning.md", "timeline.md"])
 def test_the_examples_of_a_page(page: str) -> None:
     with np.printoptions():
         result = doctest.testfile(str(ROOT / "docs" / page), module_relative=False)
