@@ -21,15 +21,12 @@ export interface Command {
 }
 
 const table = new Map<string, Command>();
-const listeners = new Set<() => void>();
 
 /** Add commands; returns what takes them away again (for a component's unmount). */
 export function register(...commands: Command[]): () => void {
   for (const command of commands) table.set(command.id, command);
-  listeners.forEach((listener) => listener());
   return () => {
     for (const command of commands) if (table.get(command.id) === command) table.delete(command.id);
-    listeners.forEach((listener) => listener());
   };
 }
 
@@ -43,11 +40,6 @@ const GROUPS = ["Project", "Edit", "Keys", "Time", "Pose", "Select", "Layers", "
 export function sortedCommands(): Command[] {
   const place = (c: Command) => (GROUPS.includes(c.group) ? GROUPS.indexOf(c.group) : GROUPS.length);
   return allCommands().sort((a, b) => place(a) - place(b));
-}
-
-export function onCommands(listener: () => void): () => void {
-  listeners.add(listener);
-  return () => listeners.delete(listener);
 }
 
 /** The keys of a command in a key map. */

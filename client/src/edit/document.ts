@@ -1,5 +1,6 @@
 // Documents are values: an edit makes a new one that shares everything that did not change.
 
+import { clipRange } from "../anim/timeline";
 import type {
   Changes,
   EditClip,
@@ -19,7 +20,7 @@ export const EMPTY: EditDocument = {
 };
 
 /** Film's rate, as in the lecture notes. */
-export const RATE = 25;
+const RATE = 25;
 
 export function newClip(name: string, rate: number | null = RATE): EditClip {
   return { name, rate, curves: new Map(), eulerOrders: {} };
@@ -91,20 +92,6 @@ export function apply(document: EditDocument, changes: Changes): EditDocument {
   return { ...document, clips, timelines, poses };
 }
 
-/** Both changes, one after the other, as one. */
-export function both(first: Changes, second: Changes): Changes {
-  const curves = new Map<string, ReadonlyMap<string, EditCurve | null>>();
-  for (const changes of [first, second])
-    for (const [clip, own] of changes.curves ?? []) curves.set(clip, new Map([...(curves.get(clip) ?? []), ...own]));
-  const join = <V>(a?: ReadonlyMap<string, V>, b?: ReadonlyMap<string, V>) => new Map([...(a ?? []), ...(b ?? [])]);
-  return {
-    curves,
-    clips: join(first.clips, second.clips),
-    timelines: join(first.timelines, second.timelines),
-    poses: join(first.poses, second.poses),
-  };
-}
-
 const sameBytes = (a: ArrayBufferView | null, b: ArrayBufferView | null): boolean => {
   if (a === b) return true;
   if (!a || !b || a.byteLength !== b.byteLength) return false;
@@ -120,7 +107,7 @@ const sameBytes = (a: ArrayBufferView | null, b: ArrayBufferView | null): boolea
 
 const ARRAYS = ["times", "values", "modes", "inTangents", "outTangents", "inHandles", "outHandles", "types"] as const;
 
-export function sameCurve(a: EditCurve, b: EditCurve): boolean {
+function sameCurve(a: EditCurve, b: EditCurve): boolean {
   return (
     a === b ||
     (a.channel.key === b.channel.key &&
@@ -184,19 +171,9 @@ export function withLayer(timeline: EditTimeline, name: string, layer: EditLayer
   return { ...timeline, layers: timeline.layers.flatMap((l) => (l.name !== name ? [l] : layer ? [layer] : [])) };
 }
 
-/** The part of a clip that a placement uses, in the clip's own time. */
-export function spanOf(clip: EditClip | undefined): [number, number] {
-  let start = Infinity, end = -Infinity;
-  for (const { times } of clip?.curves.values() ?? []) {
-    start = Math.min(start, times[0]);
-    end = Math.max(end, times[times.length - 1]);
-  }
-  return start <= end ? [start, end] : [0, 0];
-}
-
 /** Seconds of the timeline -> seconds of the clip that is placed, without its cycles. */
 export function clipTime(placement: EditPlacement, clip: EditClip | undefined, time: number): number {
-  const [first, last] = spanOf(clip);
+  const [first, last] = clip ? clipRange(clip) : [0, 0];
   const start = placement.inTime ?? first, end = placement.outTime ?? last;
   const elapsed = (time - placement.start) * placement.speed;
   return placement.speed < 0 ? end + elapsed : start + elapsed;

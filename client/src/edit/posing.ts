@@ -72,7 +72,7 @@ export function valueOf(local: Local, order: string, channel: ChannelId, near: A
   return component === null ? whole : [whole[component]];
 }
 
-export function kindOf(channel: ChannelId): Kind {
+function kindOf(channel: ChannelId): Kind {
   if (channel.component !== null || channel.property === "weight" || channel.property === "value") return "scalar";
   return channel.property === "rotation" ? "rotation" : channel.property === "euler" ? "euler" : "vector";
 }
@@ -110,7 +110,7 @@ function spliced<A extends Float64Array | Uint8Array>(array: A, at: number, repl
 }
 
 /** A curve of one key. Rotations go along the shortest arc with velocities from their neighbours; all else is Bezier. */
-export function firstKey(channel: ChannelId, time: number, value: readonly number[]): EditCurve {
+function firstKey(channel: ChannelId, time: number, value: readonly number[]): EditCurve {
   const kind = kindOf(channel), components = value.length;
   const rotation = kind === "rotation";
   return {
