@@ -58,3 +58,26 @@ def test_the_quality_of_a_take_is_printed_and_compared() -> None:
     found = json.loads(listed.stdout)["quality"][0]
     assert found["difference"]["worst_cm"] == 0.0 and found["skate_cm_s"] >= 0
     assert "no motion" in refused(keypose("check", "sample:ball", "--quality"))
+
+
+def test_an_input_is_never_written_over(tmp_path: Path) -> None:
+    take = tmp_path / "take.bvh"
+    assert keypose("convert", "sample:walk", take, "-q").returncode == 0
+    before = take.read_bytes()
+    assert "one of the inputs" in refused(keypose("convert", take, take))
+    assert "one of the inputs" in refused(keypose("retarget", take, "--to", "sample:human", take))
+    (tmp_path / "other.bvh").write_bytes(before)
+    (tmp_path / "other.bvh").chmod(0o444)
+    assert "read-only" in refused(keypose("convert", take, tmp_path / "other.bvh"))
+    assert take.read_bytes() == before == (tmp_path / "other.bvh").read_bytes()
+
+
+@pytest.mark.data
+def test_what_cannot_be_told_or_kept_is_refused(data_dir: Path, tmp_path: Path) -> None:
+    fox, out = data_dir / "gltf/castle_fox/Fox.gltf", tmp_path / "out.glb"
+    assert "four feet" in refused(keypose("retarget", "sample:walk", "--to", fox, out))
+    markers = next((data_dir / "c3d").rglob("*.c3d"))
+    assert "only markers" in refused(keypose("convert", markers, out))
+    bvh, amc = data_dir / "cmu_01_01/01_01.bvh", data_dir / "cmu_01_01/01_01.amc"
+    assert "namesake" in refused(keypose("check", bvh, "--against", amc))
+    assert not out.exists()

@@ -14,7 +14,7 @@ from keypose.analysis.contacts import foot_contacts
 from keypose.analysis.roles import SIDES, find_roles
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
-from keypose.evaluate import match, world_rotations_positions
+from keypose.evaluate import match, match_report, world_rotations_positions
 from keypose.math import quat
 from keypose.model import Motion, Skeleton
 
@@ -279,10 +279,17 @@ def compare_takes(first: Motion, second: Motion, skeleton: Skeleton) -> TakeDiff
     """Two motions of one skeleton, over the frames that both have.
 
     Raises:
-        ShapeError: where their rates differ.
+        ShapeError: where their rates differ, or most joints of one have no namesake in the skeleton.
     """
     if abs(first.rate_hz - second.rate_hz) > 1e-6 * first.rate_hz:
         raise ShapeError(f"rates differ: {first.rate_hz:g} and {second.rate_hz:g} Hz; resample one of them")
+    for motion in (first, second):
+        found = match_report(motion, skeleton)
+        if len(found.sources) * 2 < len(found.sources) + len(found.unused):
+            raise ShapeError(
+                f"only {len(found.sources)} of the {len(motion.joint_names)} joints of '{motion.name}' have a namesake in the "
+                "skeleton; takes of different skeletons cannot be compared (retarget one of them)"
+            )
     a, b = match(first, skeleton), match(second, skeleton)
     frames = min(a.frame_count, b.frame_count)
     if frames == 0:

@@ -283,6 +283,8 @@ def retarget(
     to_roles: Annotated[
         Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
     ] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
@@ -303,6 +305,8 @@ def retarget(
         unit=unit,
         up=up,
         quiet=quiet,
+        skeleton=skeleton,
+        options=option or (),
     )
 
 
@@ -315,11 +319,14 @@ def roles(
         Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    skeleton: SkeletonFile = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
 ) -> None:
     """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
     from keypose.cli.retarget import print_roles
 
-    if not print_roles(file, output, as_json=json):
+    if not print_roles(file, output, as_json=json, unit=unit, up=up, skeleton=skeleton):
         raise typer.Exit(1)
 
 
@@ -374,7 +381,8 @@ def render(
     follow: Annotated[bool, typer.Option("--follow", help="Let the camera travel with the character.")] = False,
     turntable: Annotated[bool, typer.Option("--turntable", help="Turn once around the character.")] = False,
     sheet: Annotated[int, typer.Option("--sheet", help="Number of frames on a contact sheet.", min=0, max=400)] = 0,
-    skeleton: Annotated[bool, typer.Option("--skeleton", help="Draw the skeleton over the mesh.")] = False,
+    bones: Annotated[bool, typer.Option("--bones", help="Draw the skeleton over the mesh.")] = False,
+    skeleton: SkeletonFile = None,
     theme: Annotated[Theme, typer.Option("--theme", help="Light or dark.")] = Theme.light,
     backend: Annotated[Backend, typer.Option("--backend", help="OpenGL, or the software rasteriser.")] = Backend.auto,
     unit: UnitOption = None,
@@ -401,6 +409,7 @@ def render(
         follow=follow,
         turntable=turntable,
         sheet=sheet,
+        bones=bones,
         skeleton=skeleton,
         theme=theme.value,
         backend=backend.value,

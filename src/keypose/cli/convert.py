@@ -67,6 +67,7 @@ def convert_files(
     chosen = format_of_suffix(output)
     if chosen is None or not chosen.write:  # told before anything is read
         raise unknown_format(output, writing=True)
+    not_an_input(output, inputs)
     given = choose(options, inputs, output)
     scene = combine(inputs, open_chosen(inputs, given, unit=unit, up=up, skeleton=skeleton))
     if clip is not None:
@@ -88,9 +89,8 @@ def convert_files(
     if strictness.fail and not error.within(strictness.limit_mm, strictness.limit_deg, strictness.relative):
         worst = "; ".join(error.lines())
         limit_mm = max(strictness.limit_mm, strictness.relative * error.size_mm)
-        raise ConversionError(
-            f"not within {limit_mm:.3g} mm and {strictness.limit_deg:g} degrees of what was read: {worst}", path=output
-        )
+        asked = f"{limit_mm:.3g} mm and {strictness.limit_deg:g} degrees"
+        raise ConversionError(f"written, but not all that was read within {asked}: {worst}", path=output)
     if quiet:
         return
     from rich.markup import escape
@@ -101,6 +101,17 @@ def convert_files(
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
     for line in [*_unsaid(scene, output, written_unit), *error.lines()]:
         out.print(f"  {escape(line)}")
+
+
+def not_an_input(output: Path, inputs: list[str]) -> None:
+    """A file that is read is never written over: what the output's format cannot hold would be lost.
+
+    Raises:
+        FormatError: where the output is one of the inputs.
+    """
+    for name in inputs:
+        if not name.startswith("sample:") and output.exists() and Path(name).exists() and output.samefile(name):
+            raise FormatError("is one of the inputs, which would be lost; name another file to write", path=output)
 
 
 def changed(scene: Scene, changes: Changes) -> tuple[Scene, list[str]]:

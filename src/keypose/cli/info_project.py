@@ -11,7 +11,9 @@ def print_project(out: Any, project: dict[str, Any]) -> None:
     """Clips with their keys, timelines and who performs them, poses."""
     from rich.markup import escape
 
-    out.print(f"  project [bold]{escape(project['name'] or '(unnamed)')}[/bold] [dim](version {project['version']})[/dim]")
+    out.print(
+        f"  project [bold]{escape(project['name'] or '(unnamed)')}[/bold] [dim](version {project['version']})[/dim]"
+    )
     for clip in project["clips"]:
         keys = f"{file_word(clip['curves'], 'curve')}, {file_word(clip['keys'], 'key')}"
         out.print(f"    clip {escape(clip['name'])}: {keys}")

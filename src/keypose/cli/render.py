@@ -22,7 +22,8 @@ def render_files(
     follow: bool,
     turntable: bool,
     sheet: int,
-    skeleton: bool,
+    bones: bool,
+    skeleton: str | None,
     theme: str,
     backend: str,
     unit: str | None,
@@ -40,11 +41,11 @@ def render_files(
         end_s=span_s[1],
         camera=Camera.preset(view.replace("-", "_"), follow=True if follow else None),
         theme=theme,
-        skeleton=skeleton,
+        skeleton=bones,
         backend=backend,
         sheet_frames=sheet or 12,
     )
-    scene = combine(inputs, open_inputs(inputs, unit=unit, up=up))
+    scene = combine(inputs, open_inputs(inputs, unit=unit, up=up, skeleton=skeleton))
     with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
         notes = render_file(
             scene,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keypose.cli.console import console, progress_bar
+from keypose.cli.convert import not_an_input
 from keypose.cli.inputs import open_input
 from keypose.errors import FormatError
 from keypose.model import Motion, Scene, Skeleton
@@ -31,6 +33,8 @@ def retarget_file(
     unit: str | None,
     up: str | None,
     quiet: bool,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
 ) -> None:
     """Put a motion on a character and write the character with it.
 
@@ -45,7 +49,9 @@ def retarget_file(
     chosen = format_of_suffix(output)
     if not film and (chosen is None or not chosen.write):  # told before anything is read
         raise unknown_format(output, writing=True)
-    performed, cast = open_input(motion, unit=unit, up=up), open_input(character)
+    not_an_input(output, [motion, character])
+    performed = open_input(motion, unit=unit, up=up, skeleton=skeleton, options=options)
+    cast = open_input(character)
     for scene, name in ((performed, motion), (cast, character)):
         if not scene.characters:
             raise FormatError("it has no skeleton", path=name)
@@ -89,13 +95,15 @@ def retarget_file(
         out.print(f"  {escape(line)}")
 
 
-def print_roles(reference: str, output: Path | None, *, as_json: bool) -> bool:
+def print_roles(
+    reference: str, output: Path | None, *, as_json: bool, unit: str | None, up: str | None, skeleton: str | None
+) -> bool:
     """Print which joint plays which role, or write that as a map; returns whether everything needed was found."""
     import json
 
     from keypose.analysis import find_roles
 
-    scene = open_input(reference)
+    scene = open_input(reference, unit=unit, up=up, skeleton=skeleton)
     if not scene.characters:
         raise FormatError("it has no skeleton", path=reference)
     character = scene.character

@@ -20,7 +20,7 @@ from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.matching import match, match_report
 from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
-from keypose.math import quat
+from keypose.math import ease, quat
 from keypose.model import (
     Clip,
     Curve,
@@ -233,17 +233,12 @@ def placement_times(placement: Placement, animation: Clip | Motion, times_s: Any
     if placement.weight is not None:
         weight = np.clip(np.asarray(sample_curve(placement.weight, elapsed)[..., 0], np.float64), 0.0, 1.0)
     if placement.fade_in_s > 0:
-        weight = weight * _smoothstep(since / placement.fade_in_s)
+        weight = weight * ease.ease("smoothstep", np.clip(since / placement.fade_in_s, 0.0, 1.0))
     if placement.fade_out_s > 0:
-        weight = weight * _smoothstep((duration - since) / placement.fade_out_s)
+        weight = weight * ease.ease("smoothstep", np.clip((duration - since) / placement.fade_out_s, 0.0, 1.0))
     if not placement.hold:
         weight = np.where((since < 0) | (since > duration), 0.0, weight)
     return own, weight
-
-
-def _smoothstep(share: Array) -> Array:
-    x = np.clip(share, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
 
 
 # --- layers -----------------------------------------------------------------------------------------------------------

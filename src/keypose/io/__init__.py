@@ -76,6 +76,7 @@ def save(scene: _Storable | Iterable[_Storable], path: str | PathLike[str], **op
         raise unknown_format(path, writing=True)
     writer = chosen.writer()
     content, remarks = _as_scene(scene), tuple[str, ...]()
+    _check_content(content, chosen.name, path)
     if not chosen.every_curve:
         content, remarks = _with_plain_clips(content)
     try:
@@ -88,6 +89,23 @@ def save(scene: _Storable | Iterable[_Storable], path: str | PathLike[str], **op
 
 
 _NO_SKELETON = Skeleton((), np.zeros(0, np.int32), Pose(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3))))
+
+
+_OF_BODIES = ("gltf", "fbx", "usd", "obj", "keypose")
+"""Formats that hold characters and what they do, and nothing else."""
+
+
+def _check_content(scene: Scene, format_name: str, path: Path) -> None:
+    """Raises `FormatError` where a scene has something, but nothing that the format keeps: an empty file is no copy."""
+    if format_name not in _OF_BODIES or scene.characters or scene.animations:
+        return
+    held = {"markers": scene.markers, "signals": scene.signals, "force plates": scene.plates, "labels": scene.tiers}
+    names = [kind for kind, items in held.items() if items]
+    if names:
+        raise FormatError(
+            f"there is nothing that a {path.suffix} file can hold: no character and no motion, only {', '.join(names)}",
+            path=path,
+        )
 
 
 def _with_plain_clips(scene: Scene) -> tuple[Scene, tuple[str, ...]]:

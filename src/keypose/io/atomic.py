@@ -21,12 +21,14 @@ def replacing(path: str | PathLike[str]) -> Generator[Path]:
     those that any new file gets. A symbolic link keeps pointing where it does; the file behind it is replaced.
 
     Raises:
-        FormatError: where the folder does not exist, the target is a folder or the place is not writable.
+        FormatError: where the folder does not exist, the target is a folder or read-only, or the place is not writable.
     """
     named = Path(path)
     target = Path(os.path.realpath(named))
     if target.is_dir():
         raise FormatError("is a folder; expected the name of a file to write", path=named)
+    if target.exists() and not target.stat().st_mode & 0o222:  # a rename would replace it all the same
+        raise FormatError("is read-only; name another file, or make it writable", path=named)
     if not target.parent.is_dir():
         raise FormatError(f"the folder '{named.parent}' does not exist", path=named)
     temporary = target.with_name(f".{target.stem[:64]}-{secrets.token_hex(4)}{target.suffix}")

@@ -125,6 +125,10 @@ def _as_motion(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | No
 def _roles_of(skeleton: Skeleton, roles: Roles | None, pose: Pose | None) -> dict[str, int]:
     if roles is None:
         found = find_roles(skeleton, pose)
+        if found.on_all_fours:
+            raise KeyposeError(
+                f"the skeleton of '{skeleton.names[0]}' stands on four feet; to retarget it all the same, give its roles as a map"
+            )
         if found.missing:
             raise KeyposeError(
                 f"the skeleton of '{skeleton.names[0]}' is no humanoid: nothing plays {', '.join(found.missing[:5])}; "
