@@ -239,6 +239,7 @@ export class Studio {
     if (this.page === "edit") {
       // it is looked at on the other page; here it can be taken into the project
       for (const actor of file.actors) this.give(actor, file.animations.find((a) => a.match(actor.rig, actor.morphNames) >= OFFERED) ?? null);
+      if (this.settled) this.toast("info", `${file.name} is open`, "Add its character with + beside Characters, or import its animation from the project menu.");
       return;
     }
     for (const actor of file.actors) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import random
 from collections.abc import Callable, Iterator
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 from edit_ui import EditUi
 from studio_page import StudioPage
-from studio_scenes import Start
+from studio_scenes import Start, arm_scene
 
-from keypose import evaluate
+from keypose import evaluate, io
 from keypose.io.native import document_bytes
 from keypose.project import file
 from keypose.project.workspace import Workspace
@@ -514,3 +515,33 @@ def test_an_imported_animation_is_placed_and_renamed(ui: EditUi) -> None:
     ui.page.keyboard.type("hop")
     ui.page.keyboard.press("Enter")
     ui.studio.until(lambda: ui.state()["clip"] == "hop", "it has another name everywhere")
+
+
+def test_a_dropped_character_is_taken_into_the_project(ui: EditUi, tmp_path: Path) -> None:
+    io.save(arm_scene(), tmp_path / "arm.glb")
+    ui.page.evaluate(
+        """(text) => {
+          const transfer = new DataTransfer();
+          transfer.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], "arm.glb"));
+          window.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+        }""",
+        base64.b64encode((tmp_path / "arm.glb").read_bytes()).decode(),
+    )
+    ui.studio.until(
+        lambda: any("arm.glb" in t["title"] for t in ui.studio.state("toasts")), "it is said that it is open"
+    )
+    assert len(ui.studio.state("actors")) == 1, "it is not on this page's stage yet"
+    ui.test_id("add-character").click()
+    ui.test_id("character-pick").get_by_role("button", name="arm.glb").click()
+    ui.studio.until(lambda: len(ui.state()["characters"]) == 2, "two characters")
+    ui.arrived()
+    ui.page.get_by_test_id("edit-characters").locator(".pick").last.click()
+    joints = ui.page.evaluate("keypose.editor.actor.rig.names")
+    ui.select(joints[-1])
+    ui.key("Rotation")
+    assert [c.split(".")[0] for c in ui.curves()] == [joints[-1]]
+    ui.page.get_by_test_id("page-view").click()
+    assert [a["name"] for a in ui.studio.state("actors")] == ["arm"], "the View page shows the file"
+    ui.page.get_by_test_id("page-edit").click()
+    assert len(ui.studio.state("actors")) == 2
+    ui.page.evaluate("keypose.studio.close(keypose.studio.files[0].id)")
