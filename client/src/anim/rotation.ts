@@ -50,7 +50,8 @@ export function logShort(q: Numbers, i: number, out: Float64Array, o: number): v
   const sign = q[i] < 0 ? -1 : 1;
   const w = sign * q[i], x = sign * q[i + 1], y = sign * q[i + 2], z = sign * q[i + 3];
   const sine = Math.sqrt(x * x + y * y + z * z);
-  const ratio = sine > 1e-150 ? Math.atan2(sine, w) / sine : 1 / w;
+  // no rotation at all (a zero quaternion) counts as none
+  const ratio = sine > 1e-150 ? Math.atan2(sine, w) / sine : w > 0 ? 1 / w : 0;
   out[o] = ratio * x;
   out[o + 1] = ratio * y;
   out[o + 2] = ratio * z;
