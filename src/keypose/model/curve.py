@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -109,6 +111,36 @@ _COMPONENTS = {
 }
 
 
+_MODES = frozenset(int(mode) for mode in Interpolation)
+_OF_ROTATIONS = frozenset(int(mode) for mode in ROTATION_ONLY)
+_NOT_OF_ROTATIONS = frozenset({int(Interpolation.BEZIER)})
+
+# The times that were checked last: curves of one clip mostly share them, and what is read-only stays as it is.
+_sound: list[weakref.ref[Any]] = [weakref.ref(np.zeros(0))]
+
+
+def _is_sound(times: Array) -> bool:
+    return times is _sound[0]()
+
+
+def _check_times(times: Array) -> None:
+    if len(times) == 0:
+        raise ShapeError("times_s: a curve needs at least one key")
+    if not np.isfinite(times).all():
+        raise ShapeError("times_s: expected finite numbers")
+    rising = times[1:] > times[:-1]
+    if not rising.all():
+        k = int(np.argmin(rising))
+        raise ShapeError(f"times_s: key {k + 1} at {times[k + 1]} s does not come after key {k} at {times[k]} s")
+    _sound[0] = weakref.ref(times)
+
+
+@lru_cache(maxsize=256)
+def _same_modes(mode: Interpolation, count: int) -> Array:
+    """One mode for all keys, (count,); shared, for it is read-only."""
+    return frozen(np.full(count, int(mode), np.uint8))
+
+
 def _furthest(numbers: Any, sign: int) -> float:
     return float(sign * np.max(sign * numbers))
 
@@ -146,25 +178,22 @@ class Curve:
         times = frozen(self.times_s, np.float64)
         checked(times, ("K",), "times_s")
         count = len(times)
-        if count == 0:
-            raise ShapeError("times_s: a curve needs at least one key")
-        if not np.all(np.isfinite(times)):
-            raise ShapeError("times_s: expected finite numbers")
-        late = np.nonzero(np.diff(times) <= 0)[0]
-        if len(late):
-            k = int(late[0])
-            raise ShapeError(f"times_s: key {k + 1} at {times[k + 1]} s does not come after key {k} at {times[k]} s")
+        if not _is_sound(times):
+            _check_times(times)
         values = checked(as_float(self.values), (count, "C"), "values", f"{count} key times")
         widths = _COMPONENTS.get(self.kind)
         if widths is not None and values.shape[1] not in widths:
             asked = " or ".join(str(w) for w in widths)
             raise ShapeError(f"values: expected ({count}, {asked}) for a {self.kind.value} curve, got {values.shape}")
-        modes = np.broadcast_to(np.asarray(self.modes, np.uint8), (count,))
         object.__setattr__(self, "times_s", times)
         object.__setattr__(self, "values", frozen(values))
-        object.__setattr__(self, "modes", frozen(modes))
-        # The last key starts no span; its mode matters to a curve of one key only when a key is added.
-        used = modes[: max(count - 1, 1)]
+        if type(self.modes) is Interpolation:
+            modes, used = _same_modes(self.modes, count), {int(self.modes)}
+        else:
+            modes = frozen(np.broadcast_to(np.asarray(self.modes, np.uint8), (count,)))
+            # The last key starts no span; its mode matters to a curve of one key only when a key is added.
+            used = set(np.unique(modes[: max(count - 1, 1)]).tolist())
+        object.__setattr__(self, "modes", modes)
         self._check_modes(used)
         self._keep_sides(("in_tangents", "out_tangents"), Interpolation.HERMITE, tuple(values.shape), used)
         self._keep_sides(("in_handles", "out_handles"), Interpolation.BEZIER, (*values.shape, 2), used)
@@ -181,25 +210,24 @@ class Curve:
                 self, "tangent_types", frozen(checked(types, (count, 2), "tangent_types", f"{count} keys"))
             )
 
-    def _check_modes(self, used: Array) -> None:
-        if np.any(used > max(Interpolation)):
-            raise ShapeError(f"modes: expected Interpolation (0 to {int(max(Interpolation))}), got {int(used.max())}")
-        rotation = self.kind is CurveKind.ROTATION
-        for mode in ROTATION_ONLY if not rotation else (Interpolation.BEZIER,):
-            if np.any(used == mode):
-                raise ShapeError(f"modes: a {self.kind.value} curve cannot have {mode.name}")
+    def _check_modes(self, used: set[int]) -> None:
+        if not used <= _MODES:
+            raise ShapeError(f"modes: expected Interpolation (0 to {max(_MODES)}), got {max(used)}")
+        wrong = used & (_NOT_OF_ROTATIONS if self.kind is CurveKind.ROTATION else _OF_ROTATIONS)
+        if wrong:
+            raise ShapeError(f"modes: a {self.kind.value} curve cannot have {Interpolation(min(wrong)).name}")
         if self.kind is CurveKind.BOOLEAN:
-            if np.any(used != Interpolation.STEP):
+            if used != {Interpolation.STEP}:
                 raise ShapeError("modes: a boolean curve goes in steps (STEP)")
             if isinstance(self.values, np.ndarray) and not np.all((self.values == 0) | (self.values == 1)):
                 raise ShapeError("values: a boolean curve is 0 or 1 at its keys")
 
-    def _keep_sides(self, names: tuple[str, str], mode: Interpolation, shape: tuple[int, ...], used: Array) -> None:
+    def _keep_sides(self, names: tuple[str, str], mode: Interpolation, shape: tuple[int, ...], used: set[int]) -> None:
         for name in names:
             sides = getattr(self, name)
             if sides is not None:
                 object.__setattr__(self, name, frozen(checked(as_float(sides), shape, name, "values")))
-            elif np.any(used == mode):
+            elif mode in used:
                 raise ShapeError(f"{name}: a {mode.name} curve needs {name} of shape {shape}")
 
     @property
