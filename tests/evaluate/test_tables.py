@@ -53,6 +53,24 @@ def test_times_of_any_shape_and_order(times: object) -> None:
     assert_allclose(sample_curves(prepare_curves([curve]), times), sample_curve(curve, times), atol=1e-14)
 
 
+@pytest.mark.parametrize("rate_hz", [60.0, 59.0, 120.0, 30.0])
+def test_frames_of_a_rate_at_frames_of_another(rate_hz: float) -> None:
+    rng = np.random.default_rng(9)
+    lines = [Curve(s + np.arange(200) / 60, rng.normal(size=(200, 3)).astype(np.float32)) for s in (0.0, -0.004, 0.003)]
+    times = 0.01 + np.arange(int(3.2 * rate_hz)) / rate_hz
+    table = prepare_curves(lines)
+    expected = np.concatenate([sample_curve(c, times) for c in lines], axis=1)
+    assert_allclose(sample_curves(table, times), expected, atol=2e-6)
+    memory = np.empty((9, len(times)), np.float32)
+    again = sample_curves(table, times, memory)
+    assert np.shares_memory(again, memory)
+    assert_array_equal(again, sample_curves(table, times))
+    forth = again.copy()
+    assert_array_equal(sample_curves(table, times[::-1], memory), forth[::-1])
+    with pytest.raises(ShapeError, match="out: expected a contiguous array"):
+        sample_curves(table, times, memory[:, 1:])
+
+
 def test_thousands_of_keys_are_found_however_uneven() -> None:
     rng = np.random.default_rng(2)
     keys = np.cumsum(rng.exponential(size=5000) ** 4 + 1e-9)

@@ -60,11 +60,12 @@ def _lines(suite: Suite, rng: np.random.Generator) -> None:
     times = times[times <= min(k[-1] for k in keys)]
     moved = lines.byte_count + _LINE_CURVES * 3 * len(times) * 4
     size = 256 << 20
+    results = np.empty((lines.component_count, len(times)), np.float32)
     memory, out = aligned(size // 4), aligned(WIDTH)
     memory[:] = 1
     suite.case(
         f"{_LINE_CURVES:,} linear curves of {_LINE_KEYS:,} keys, as many times", "GB/s", moved,
-        lambda: sample_curves(lines, times), lambda: _read(memory, out), "reading memory", size,
+        lambda: sample_curves(lines, times, results), lambda: _read(memory, out), "reading memory", size,
         note="bytes of keys read and of results written",
     )  # fmt: skip
 

@@ -100,14 +100,15 @@ def prepare_curves(curves: Sequence[Curve], dtype: Any = None) -> CurveTable:
     return CurveTable(starts, curves, tuple(n for n in range(len(curves)) if n not in set(known)), arrays)
 
 
-def sample_curves(table: CurveTable, times_s: Any) -> Array:
+def sample_curves(table: CurveTable, times_s: Any, out: Array | None = None) -> Array:
     """All curves at times of any shape: what `sample_curve` gives for each, side by side.
 
     Shapes and units: ``times_s`` (*B,) seconds; returns (*B, D) in the precision of the table. The result is a view in which
-    the times of one component stand side by side in memory.
+    the times of one component stand side by side in memory; ``out`` (D, number of times), if given, is that memory, so that a
+    caller who asks again and again takes none anew.
 
     Raises:
-        ShapeError: where a time is not finite.
+        ShapeError: where a time is not finite or ``out`` does not fit.
     """
     from keypose.kernels.curves import sample_tracks
 
@@ -117,15 +118,29 @@ def sample_curves(table: CurveTable, times_s: Any) -> Array:
     order = None if rising else np.argsort(flat, kind="stable")
     asked = np.ascontiguousarray(flat if order is None else flat[order])
     rows = int(sum(table.arrays[0][:, 3]))
-    out = np.empty((rows, len(flat)), table.arrays[3].dtype)
-    sample_tracks(asked, *table.arrays, out)
+    given = _checked_out(out, table, len(flat))
+    direct = given if order is None and not table.others else None
+    found: Array = np.empty((rows, len(flat)), table.arrays[3].dtype) if direct is None else direct
+    sample_tracks(asked, *table.arrays, found)
     if order is not None:
-        back = np.empty_like(out)
-        back[:, order] = out
-        out = back
+        back = np.empty_like(found)
+        back[:, order] = found
+        found = back
     if table.others:
-        out = _with_others(table, flat, out)
-    return np.moveaxis(out.reshape(table.component_count, *times.shape), 0, -1)
+        found = _with_others(table, flat, found)
+    if given is not None and direct is None:
+        given[...] = found
+        found = given
+    return np.moveaxis(found.reshape(table.component_count, *times.shape), 0, -1)
+
+
+def _checked_out(out: Array | None, table: CurveTable, count: int) -> Array | None:
+    if out is None:
+        return None
+    wanted, precision = (table.component_count, count), table.arrays[3].dtype
+    if not isinstance(out, np.ndarray) or out.shape != wanted or out.dtype != precision or not out.flags.c_contiguous:
+        raise ShapeError(f"out: expected a contiguous array {wanted} of {precision}, got {getattr(out, 'shape', out)}")
+    return out
 
 
 def _in_kernel(curve: Curve) -> bool:

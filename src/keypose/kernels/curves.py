@@ -111,11 +111,41 @@ def _hermite(p0, m0, p1, m1, u, span):
     return bend + (p0 + u * u * (3 - 2 * u) * d if u < 0.5 else p1 - v * v * (3 - 2 * v) * d)
 
 
-@inlined
+@kernel
 def _lines(times, tracks, n, keys, modes, values, spans, shares, out, row):
     """A track of lines and steps at times between its first and its last key: first all places, then all values."""
     low, total, width, start = tracks[n, KEY], tracks[n, KEYS], tracks[n, WIDTH], tracks[n, VALUE]
     first, last = keys[low], low + total - 2
+    count = times.shape[0]
+    one, half = values.dtype.type(1), values.dtype.type(0.5)
+    if tracks[n, MODE] == _LINEAR and count < total:
+        # Frames of one rate, as captures have them: every time lies in the span after the one before.
+        k = min(_span_of(keys, low, total, times[0]), last)
+        if k + count - 1 <= last:
+            strays = 0
+            for t in range(count):
+                here, after = keys[k + t], keys[k + t + 1]
+                strays += (here > times[t]) | (after <= times[t])
+                shares[t] = (times[t] - here) / (after - here)
+            if strays == 0:
+                at = start + (k - low) * width
+                own = values[at : at + (count + 1) * width]
+                if width == 3:
+                    x, y, z = out[row], out[row + 1], out[row + 2]
+                    for t in range(count):
+                        share, p, q = shares[t], 3 * t, 3 * t + 3
+                        d, e, f = own[q] - own[p], own[q + 1] - own[p + 1], own[q + 2] - own[p + 2]
+                        near, left = share < half, one - share
+                        x[t] = own[p] + share * d if near else own[q] - left * d
+                        y[t] = own[p + 1] + share * e if near else own[q + 1] - left * e
+                        z[t] = own[p + 2] + share * f if near else own[q + 2] - left * f
+                    return
+                for c in range(width):
+                    for t in range(count):
+                        a, b = own[t * width + c], own[(t + 1) * width + c]
+                        rise, share = b - a, shares[t]
+                        out[row + c, t] = a + share * rise if share < half else b - (one - share) * rise
+                return
     scale = (total - 1) / (keys[low + total - 1] - first)
     strays = 0
     for t in range(times.shape[0]):  # as if keys were even
@@ -143,7 +173,6 @@ def _lines(times, tracks, n, keys, modes, values, spans, shares, out, row):
                 shares[t] = 0.0
     for t in range(times.shape[0]):
         spans[t] = start + (spans[t] - low) * width
-    one, half = values.dtype.type(1), values.dtype.type(0.5)
     for c in range(width):
         for t in range(times.shape[0]):
             a, b, share = values[spans[t] + c], values[spans[t] + width + c], shares[t]
