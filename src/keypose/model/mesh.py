@@ -74,7 +74,10 @@ class Mesh:
         positions = checked(as_float(self.positions), ("V", 3), "positions")
         count = len(positions)
         object.__setattr__(self, "positions", frozen(positions))
-        triangles = frozen(np.asarray(self.triangles).reshape(-1, 3), np.int32)
+        triangles = np.asarray(self.triangles)
+        # A reshaped array is a view, which would be copied though it is frozen already.
+        triangles = frozen(triangles if triangles.ndim == 2 else triangles.reshape(-1, 3), np.int32)
+        checked(triangles, ("F", 3), "triangles")
         if len(triangles) and (triangles.min() < 0 or triangles.max() >= count):
             bad = int(triangles.max() if triangles.max() >= count else triangles.min())
             raise ShapeError(f"triangles: vertex {bad} does not exist; the mesh has {count}")

@@ -215,17 +215,38 @@ class Arrays:
         return array
 
     def wxyz(self, index: int, *, place: str) -> NDArray[np.float32]:
-        """The quaternions (count, 4) of an accessor in keypose's order; the caller's own."""
+        """The quaternions (count, 4) of an accessor in keypose's order; the caller's own.
+
+        Whether they are finite is not looked at yet: unit quaternions are; for others there is `check_finite`.
+        """
         item = self.expect(index, ("VEC4",), place)
         if item.component != "<f4" or item.view is None or item.sparse is not None:
             return self.floats(index, "VEC4", place=place)[:, XYZW_TO_WXYZ]
         stride = self._document.views[item.view].stride
         xyzw = self._in_place(item.view, item.offset, stride, item.count, "VEC4", _DTYPES["<f4"], item.where)
         owned = np.empty((item.count, 4), np.float32)
-        owned[:, 0] = xyzw[:, 3]
-        owned[:, 1:] = xyzw[:, :3]
-        self._check(owned, item)
+        if item.count and xyzw.flags.c_contiguous:
+            # All one place further in one block, then each w before its x: six times faster than row by row.
+            source, target = xyzw.reshape(-1), owned.reshape(-1)
+            target[1:] = source[:-1]
+            target[::4] = source[3::4]
+        else:
+            owned[:, 0] = xyzw[:, 3]
+            owned[:, 1:] = xyzw[:, :3]
         return owned
+
+    def passing(self, index: int) -> NDArray[Any]:
+        """The elements (count, width) of an accessor where they lie in the file, for whoever copies them anyway."""
+        item = self._document.accessors[index]
+        if index in self._arrays or item.view is None or item.sparse is not None or item.component == "<f4":
+            return self.array(index)
+        component, stride = _DTYPES[item.component], self._document.views[item.view].stride
+        found = self._in_place(item.view, item.offset, stride, item.count, item.kind, component, item.where)
+        return found.reshape(item.count, -1)
+
+    def check_finite(self, array: NDArray[Any], index: int) -> None:
+        """Raises `FormatError` where elements of an accessor are no numbers."""
+        self._check(array, self._document.accessors[index])
 
     @staticmethod
     def as_floats(array: NDArray[Any], normalized: bool) -> NDArray[np.float32]:

@@ -23,6 +23,9 @@ MODES = {"STEP": Interpolation.STEP, "LINEAR": Interpolation.LINEAR, "CUBICSPLIN
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
+_FOUR = np.ones(4, np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The keys of one sampler: ``values`` and tangents are (K, C), rotations already wxyz."""
@@ -247,9 +250,10 @@ class Animations:
         return Keys(times, _own(middle), Interpolation.HERMITE, _own(rows[:, 0]), _own(rows[:, 2]))
 
     def _unit(self, rotations: NDArray[np.float32], sampler: Sampler, where: str) -> NDArray[np.float32]:
-        squares = np.einsum("kc,kc->k", rotations, rotations)
-        if np.abs(squares - 1).max() < 1e-5:
+        squares = (rotations * rotations) @ _FOUR
+        if len(squares) and squares.min() > 1 - 1e-5 and squares.max() < 1 + 1e-5:
             return rotations
+        self._arrays.check_finite(rotations, sampler.output)
         lengths = np.linalg.norm(rotations.astype(np.float64), axis=1)
         if np.any(lengths > 1e18):
             raise FormatError(f"key {int(np.argmax(lengths))} is no rotation", where=where)

@@ -136,7 +136,7 @@ class Surfaces:
                 item = self._arrays.expect(primitive.indices, ("SCALAR",), where)
                 if "u" not in item.component:
                     raise FormatError("expected unsigned integers", where=where)
-                indices = self._arrays.array(primitive.indices)[:, 0]
+                indices = self._arrays.passing(primitive.indices)[:, 0]
         if len(indices) and int(indices.max()) >= count:
             raise FormatError(f"vertex {int(indices.max())} does not exist; there are {count}", where=where)
         if mode == 4:
@@ -176,6 +176,9 @@ class Surfaces:
                 f"{where}: {int(np.sum(np.any(weights < 0, axis=1)))} vertices have negative weights, taken as 0"
             )
             weights = np.maximum(weights, np.float32(0))
+        quick = weights @ np.ones(weights.shape[1], np.float32)
+        if len(quick) and quick.min() >= 1 - WEIGHT_TOLERANCE and quick.max() <= 1 + WEIGHT_TOLERANCE:
+            return weights
         sums = weights[:, 0].astype(np.float64)
         for column in range(1, weights.shape[1]):  # many times quicker than NumPy's sum over a short axis
             sums += weights[:, column]
@@ -275,7 +278,7 @@ class _Source:
                 raise
             return None
 
-    def _array(self, name: str, where: str) -> NDArray[Any]:
+    def _array(self, name: str, where: str, passing: bool = False) -> NDArray[Any]:
         packed = self._primitive.draco
         if self.draco is not None and packed is not None and name in packed.attributes:
             unique = packed.attributes[name]
@@ -286,12 +289,13 @@ class _Source:
             if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
                 raise FormatError("the Draco data holds numbers that are not finite", where=where)
             return array
-        return self._arrays.array(self._primitive.attributes[name])
+        accessor = self._primitive.attributes[name]
+        return self._arrays.passing(accessor) if passing else self._arrays.array(accessor)
 
-    def _checked(self, name: str, kinds: Sequence[str]) -> tuple[NDArray[Any], bool]:
+    def _checked(self, name: str, kinds: Sequence[str], passing: bool = False) -> tuple[NDArray[Any], bool]:
         where = f"{self._primitive.where}.attributes.{name}"
         item = self._arrays.expect(self._primitive.attributes[name], tuple(kinds), where)
-        array = self._array(name, where)
+        array = self._array(name, where, passing)
         widths = {{"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}.get(kind, 0) for kind in kinds}
         if widths and array.shape[1] not in widths:
             raise FormatError(f"expected {' or '.join(kinds)}, got {array.shape[1]} components", where=where)
@@ -308,8 +312,8 @@ class _Source:
         return self._arrays.as_floats(array, normalized)
 
     def integers(self, name: str, *kinds: str) -> NDArray[Any]:
-        """An attribute of unsigned integers."""
-        array, _ = self._checked(name, kinds)
+        """An attribute of unsigned integers, where it lies in the file."""
+        array, _ = self._checked(name, kinds, passing=True)
         if array.dtype.kind == "f" and np.array_equal(array, np.round(array)) and array.min(initial=0) >= 0:
             array = array.astype(np.uint32)  # some exporters write joint numbers as floats
         if array.dtype.kind != "u" or array.max(initial=0) > 65535:
