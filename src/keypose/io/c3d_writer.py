@@ -389,7 +389,8 @@ class _Plan:
             self.parameters["POINT"].pop("LONG_FRAMES", None)
         old = next(iter(strings({"POINT": Group(self.parameters["POINT"])}, "POINT", "UNITS")), "")
         said = unit_of_word(old)
-        whole = said is not None and old.strip().casefold() in (said, f"{said}s")  # not cut short, which has to be guessed
+        # not cut short, which has to be guessed
+        whole = said is not None and old.strip().casefold() in (said, f"{said}s")
         if said is None or not whole or abs(UNITS_M[said] / self.unit_m - 1) > 1e-9:
             self.set("POINT", "UNITS", chars([self.unit_word], scalar=True, shortest=2))
         for name, axis in zip(("X_SCREEN", "Y_SCREEN"), self.right_up, strict=True):
