@@ -227,11 +227,11 @@ def _child(folder: Path, first_seed: int, count: int, files: Sequence[Path]) -> 
             wrong = _unsound(scene, np)
             if wrong:
                 result["wrong"].append(f"seed {seed}, {path.name}: loaded, but {wrong}")
-    result["peak_mib"] = _peak_mib()
+    result["peak_mib"] = peak_mib()
     return result
 
 
-def _peak_mib() -> float:
+def peak_mib() -> float:
     """Largest resident memory of this process; what getrusage says is also that of the process that started it."""
     import resource
 

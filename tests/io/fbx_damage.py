@@ -11,7 +11,7 @@ import time
 import warnings
 from pathlib import Path
 
-from tests.io.damage import damaged
+from tests.io.damage import damaged, peak_mib
 
 MEMORY = 1 << 30
 
@@ -55,7 +55,7 @@ def main(count: int, seed: int, sources: list[Path]) -> None:
                 results = read_many(paths[paths.index(path) + 1 :])
             slowest = max(slowest, time.perf_counter() - started)
             started = time.perf_counter()
-    peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) * 1024
+    peak = max(int(peak_mib() * (1 << 20)), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024)
     report = {"outcomes": outcomes, "places": places, "wrong": wrong[:50], "slowest_s": slowest, "peak_bytes": peak}
     print(json.dumps(report))
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from tests.io.damage import peak_mib
 from tests.io.gltf_files import glb_of, split
 
 MEMORY = 1 << 30
@@ -180,7 +181,7 @@ def main(count: int, seed: int, sources: list[Path]) -> None:
             signal.alarm(0)
             slowest = max(slowest, time.process_time() - started)
             path.unlink()
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = int(peak_mib() * (1 << 20))
     print(json.dumps({"outcomes": outcomes, "wrong": wrong[:50], "slowest_s": slowest, "peak_bytes": peak}))
 
 
