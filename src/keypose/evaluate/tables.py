@@ -117,7 +117,7 @@ def sample_curves(table: CurveTable, times_s: Any, out: Array | None = None) -> 
     rising = bool(np.all(flat[1:] >= flat[:-1]))
     order = None if rising else np.argsort(flat, kind="stable")
     asked = np.ascontiguousarray(flat if order is None else flat[order])
-    rows = int(sum(table.arrays[0][:, 3]))
+    rows = int(table.arrays[0][:, 3].sum())
     given = _checked_out(out, table, len(flat))
     direct = given if order is None and not table.others else None
     found: Array = np.empty((rows, len(flat)), table.arrays[3].dtype) if direct is None else direct
