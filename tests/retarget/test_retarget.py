@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from keypose import evaluate, samples
+from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.errors import KeyposeError, ShapeError
 from keypose.math import quat
 from keypose.model import Motion, Pose, Scene, Skeleton
-from keypose.retarget import PlantOptions, body_frames, find_stand, plant_feet, retarget
+from keypose.retarget import body_frames, find_stand, retarget
 
 
 @pytest.fixture(scope="module")

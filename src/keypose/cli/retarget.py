@@ -42,8 +42,9 @@ def retarget_file(
         FormatError: where the output's format cannot be written, or an input has no motion or no skeleton.
     """
     from keypose import io
+    from keypose.editing.planting import PlantOptions
     from keypose.io.registry import format_of_suffix, unknown_format
-    from keypose.retarget import PlantOptions, retarget
+    from keypose.retarget import retarget
 
     film = output.suffix.lower() in FILMS
     chosen = format_of_suffix(output)

@@ -1,18 +1,15 @@
 """Retargeting: any humanoid's motion on any humanoid, feet planted."""
 
 from keypose.retarget.body import BodyFrames, body_frames, find_stand
-from keypose.retarget.planting import PlantOptions, plant_feet
 from keypose.retarget.report import RetargetReport, compare_motions
 from keypose.retarget.transfer import RetargetResult, retarget
 
 __all__ = [
     "BodyFrames",
-    "PlantOptions",
     "RetargetReport",
     "RetargetResult",
     "body_frames",
     "compare_motions",
     "find_stand",
-    "plant_feet",
     "retarget",
 ]

@@ -10,10 +10,10 @@ from keypose.analysis.contacts import foot_contacts
 from keypose.analysis.quality import carried_speeds
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
+from keypose.editing.planting import PlantOptions
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion
 from keypose.retarget.body import BodyFrames
-from keypose.retarget.planting import PlantOptions
 
 _LIMBS = (
     ("upper_arm", "lower_arm"), ("lower_arm", "hand"), ("upper_leg", "lower_leg"), ("lower_leg", "foot"), ("foot", "toes"),

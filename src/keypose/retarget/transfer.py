@@ -9,12 +9,12 @@ import numpy as np
 
 from keypose.analysis.roles import ROLES, SIDES, RoleMap, find_roles
 from keypose.arrays import Floats
+from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import bake, key_rate, match, resample, world_rotations_positions
 from keypose.math import quat
 from keypose.model import Clip, Motion, Pose, Skeleton
 from keypose.retarget.body import BodyFrames, body_frames, find_stand
-from keypose.retarget.planting import PlantOptions, plant_feet
 from keypose.retarget.report import RetargetReport, body_contacts, compare_motions
 
 Roles = RoleMap | Mapping[str, int]
