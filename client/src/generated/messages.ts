@@ -924,3 +924,84 @@ export interface Envelope {
 }
 
 export type ClientMessage = Acknowledge | CloseScene | OpenSample | PlayOpen | PlayClose | PlayInput | PlayAcknowledge | PlayPace | PlayStep | PlayReset | PlayExplain | PlayRecord | ProjectWatch | ProjectNew | ProjectOpen | ProjectSave | ProjectUndo | ProjectRedo | ProjectRecover | ProjectDiscard | ProjectAddCharacter | ProjectRemoveCharacter | ProjectImportClip | ProjectBrowse;
+
+/** Show a scene on this page: one that is open, or a built-in one as ``sample:NAME``. */
+export interface RetargetSubjectRequest {
+  type: "retarget_subject";
+  scene: string;
+}
+
+/** Find the roles of a character anew; ``known`` ones are kept as they are. */
+export interface RetargetRolesRequest {
+  type: "retarget_roles";
+  scene: string;
+  character: number;
+  known: Record<string, string>;
+}
+
+/** Put a scene's animation on another scene's character. */
+export interface RetargetRequest {
+  type: "retarget";
+  source: string;
+  source_character: number;
+  animation: number;
+  target: string;
+  target_character: number;
+  source_roles: Record<string, string> | null;
+  target_roles: Record<string, string> | null;
+  source_reference: "auto" | "rest" | "time";
+  reference_s: number;
+  target_reference: "auto" | "rest";
+  scale: number | null;
+  plant: boolean;
+  rate_hz: number | null;
+}
+
+export type RetargetAsked = RetargetSubjectRequest | RetargetRolesRequest | RetargetRequest;
+
+/** Which joint plays which role, and how sure that is (0..1); ``missing`` are needed and played by none. */
+export interface RetargetRoles {
+  roles: Record<string, string>;
+  confidence: Record<string, number>;
+  missing: string[];
+  all_fours: boolean;
+  notes: string[];
+}
+
+/** A scene that the page may show, and the roles of each of its characters. */
+export interface RetargetSubject {
+  scene: SceneEntry | null;
+  characters: RetargetRoles[];
+  error: string;
+}
+
+/** When a point of a foot touches the ground: ``spans`` are first and last frames, in pairs, one after the other. */
+export interface RetargetContacts {
+  point: string;
+  joint: string;
+  spans: number[];
+}
+
+/** The motion on the target and its figures; ``error`` says why there is none. */
+export interface RetargetDone {
+  id: string;
+  scene: SceneEntry | null;
+  error: string;
+  name: string;
+  frames: number;
+  rate_hz: number;
+  took_s: number;
+  scale: number;
+  direction_deg: Record<string, number>;
+  mean_direction_deg: number;
+  source_slide_cm_s: number;
+  loose_slide_cm_s: number;
+  slide_cm_s: number;
+  worst_slide_cm_s: number;
+  sink_cm: number;
+  contact_frames: number;
+  source_contacts: RetargetContacts[];
+  target_contacts: RetargetContacts[];
+  exports: string[];
+  notes: string[];
+}

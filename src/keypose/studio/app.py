@@ -12,6 +12,9 @@ POST      ``/api/project/edit``          a change of the project, see `keypose.s
 POST      ``/api/project/operate``       an operator run on it
 GET       ``/api/project/operators``     what operators there are
 GET       ``/api/project/export/{kind}`` the project as a file; ``character`` and ``timeline`` name what of it
+POST      ``/api/retarget``              what the retarget page asks, see `keypose.studio.retarget_messages`
+GET       ``/api/retarget/{id}/{kind}``  a retargeted motion with its character as a file
+POST      ``/api/retarget/{id}/edit``    the same into the project
 ========  =============================  ====================================================
 
 Only these exist. Static files are read into memory at start and looked up by their exact path, so there is no path to
@@ -32,11 +35,12 @@ from typing import TYPE_CHECKING, Any
 from keypose.errors import KeyposeError
 from keypose.model import Scene
 from keypose.studio import messages
+from keypose.studio import retarget_messages as retargets
 from keypose.studio.crowd import crowd_events
 from keypose.studio.edit_messages import EditResult, ProjectRequest
 from keypose.studio.edit_operators import operator_specs
 from keypose.studio.edit_wire import EDIT_LIMIT_BYTES
-from keypose.studio.requests import parse_request
+from keypose.studio.requests import parse_request, parse_retarget_request
 from keypose.studio.session import Session
 
 if TYPE_CHECKING:
@@ -46,6 +50,8 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
 TAKE_KINDS = ("glb", "bvh")
+
+RETARGET_LIMIT_BYTES = 1024 * 1024
 
 _TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -153,6 +159,33 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             return PlainTextResponse(f"{error}\n", 422)
         return Response(data, media_type="application/octet-stream")
 
+    async def retarget(request: Request) -> Response:
+        data = await _received(request, RETARGET_LIMIT_BYTES)
+        asked = None if data is None else parse_retarget_request(data.decode("utf-8", "replace"))
+        match asked:
+            case retargets.RetargetSubjectRequest():
+                return JSONResponse(dataclasses.asdict(await session.retargeting.subject(asked)))
+            case retargets.RetargetRolesRequest():
+                try:
+                    return JSONResponse(dataclasses.asdict(await session.retargeting.roles(asked)))
+                except KeyposeError as error:
+                    return PlainTextResponse(f"{error}\n", 422)
+            case retargets.RetargetRequest():
+                return JSONResponse(dataclasses.asdict(await session.retargeting.retarget(asked)))
+            case None:
+                return PlainTextResponse("400: this is nothing that the retarget page asks\n", 400)
+
+    async def retargeted(request: Request) -> Response:
+        try:
+            data = await session.retargeting.export(request.path_params["id"], request.path_params["kind"])
+        except KeyposeError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        return Response(data, media_type="application/octet-stream")
+
+    async def send_to_edit(request: Request) -> Response:
+        result = await session.retargeting.send_to_edit(request.path_params["id"])
+        return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
+
     return Starlette(
         routes=[
             Route("/", page),
@@ -165,6 +198,9 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             Route("/api/project/operate", operate, methods=["POST"]),
             Route("/api/project/operators", operators),
             Route("/api/project/export/{kind}", export),
+            Route("/api/retarget", retarget, methods=["POST"]),
+            Route("/api/retarget/{id}/edit", send_to_edit, methods=["POST"]),
+            Route("/api/retarget/{id}/{kind}", retargeted),
             Route("/{path:path}", asset),
         ]
     )

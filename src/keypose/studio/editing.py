@@ -100,7 +100,7 @@ class Editing:
                 document = Document(name.strip() or UNTITLED)
                 check_name(document.name, "project")
                 if character:
-                    for one in (await self._scene(character)).characters:
+                    for one in (await self._session.find_scene(character)).characters:
                         await self._entry(one)  # what cannot be shown is not added
                         document = AddCharacter(one).apply(document)
                 await asyncio.to_thread(workspace.begin, document, discard=discard)
@@ -127,7 +127,7 @@ class Editing:
                 self._allow(folder or ".")
                 outbox.put(await asyncio.to_thread(listing, folder))
             case edits.ProjectAddCharacter(source=source):
-                scene = await self._scene(source)
+                scene = await self._session.find_scene(source)
                 if not scene.characters:
                     raise UnknownName("character", source, ())
                 for one in scene.characters:  # what cannot be shown is not added
@@ -136,7 +136,7 @@ class Editing:
             case edits.ProjectRemoveCharacter(name=name):
                 await self._do([RemoveCharacter(name)], f"Remove {name}")
             case edits.ProjectImportClip(source=source, animation=number):
-                await self._import(await self._scene(source), number)
+                await self._import(await self._session.find_scene(source), number)
 
     async def edit(self, data: bytes) -> edits.EditResult:
         """A page's edit; answers once it cannot be lost any more."""
@@ -166,6 +166,21 @@ class Editing:
         except _REFUSALS as error:
             return self._refused(id, error)
         return edits.EditResult(id, revision, "", done)
+
+    async def change(self, commands: Callable[[Document], list[Command]], label: str) -> edits.EditResult:
+        """Do what another page makes of the document, one step of undo; answers once it cannot be lost any more."""
+        try:
+            async with self._turn:
+                wanted = await asyncio.to_thread(commands, self.workspace.document)
+                for command in wanted:
+                    if isinstance(command, AddCharacter):
+                        await self._entry(command.character)  # what cannot be shown is not added
+                await self._do(wanted, label)
+                revision = self.workspace.history.revision
+            await asyncio.to_thread(self.workspace.sync)
+        except _REFUSALS as error:
+            return self._refused("", error)
+        return edits.EditResult("", revision, "", "")
 
     async def export(self, kind: str, character: str | None, timeline: str | None) -> bytes:
         """The project, or a character with its timeline, as a file.
@@ -275,17 +290,6 @@ class Editing:
             commands.append(command)
         if commands:
             await self._do(commands, "Import clip" if len(commands) == 1 else f"Import {len(commands)} clips")
-
-    async def _scene(self, source: str) -> Scene:
-        """An opened scene by its id, or a built-in one."""
-        from keypose import samples
-
-        if source.startswith(samples.PREFIX):
-            return await asyncio.to_thread(samples.open_scene, source)
-        scene = self._session.scene(source)
-        if scene is None:
-            raise UnknownName("scene", source[:60], ())
-        return scene
 
     # ---- saying ------------------------------------------------------------------------------------------------------
 

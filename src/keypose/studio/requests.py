@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, Literal, get_args, get_origin
 
 from keypose.studio.messages import ClientMessage, CrowdRequest
+from keypose.studio.retarget_messages import RetargetAsked
 
 
 def parse_request(text: str) -> ClientMessage | None:
@@ -19,6 +20,11 @@ def parse_request(text: str) -> ClientMessage | None:
 def parse_crowd_request(text: str) -> CrowdRequest | None:
     """The same for the crowd's socket."""
     return _parsed(text, CrowdRequest)
+
+
+def parse_retarget_request(text: str) -> RetargetAsked | None:
+    """The same for what the retarget page asks."""
+    return _parsed(text, RetargetAsked)
 
 
 def _parsed(text: str, kinds: Any) -> Any:

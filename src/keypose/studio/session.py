@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from keypose import __version__
-from keypose.errors import KeyposeError
+from keypose.errors import KeyposeError, UnknownName
 from keypose.model import Scene
 from keypose.studio import messages
 from keypose.studio.editing import Editing
 from keypose.studio.outbox import Outbox
 from keypose.studio.payload import encode
+from keypose.studio.retarget import Retargeting
 from keypose.studio.uploads import open_upload
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Session:
         self.outboxes: set[Outbox] = set()
         self._scenes: dict[str, tuple[messages.SceneEntry, bytes, Scene]] = {}
         self.editing = Editing(self, workspace, confined)
+        self.retargeting = Retargeting(self)
         self._expected = 0
         self._ids = itertools.count(1)
         self._jobs = itertools.count(1)
@@ -92,14 +94,36 @@ class Session:
             outbox.put(message, replaces)
 
     def payload(self, id: str) -> bytes | None:
-        """The container of a scene, or of a character that plays a graph or is edited; or None."""
+        """The container of a scene, of a character that plays a graph or is edited, or of a retargeted motion; or None."""
         found = self._scenes.get(id)
-        return self.stages.get(id) or self.editing.payload(id) if found is None else found[1]
+        if found is not None:
+            return found[1]
+        return self.stages.get(id) or self.editing.payload(id) or self.retargeting.payload(id)
 
     def scene(self, id: str) -> Scene | None:
         """An opened scene."""
         found = self._scenes.get(id)
         return None if found is None else found[2]
+
+    def entry(self, id: str) -> messages.SceneEntry | None:
+        """How an opened scene is fetched."""
+        found = self._scenes.get(id)
+        return None if found is None else found[0]
+
+    async def find_scene(self, source: str) -> Scene:
+        """An opened scene by its id, or a built-in one by its ``sample:`` name.
+
+        Raises:
+            UnknownName: where there is none.
+        """
+        from keypose import samples
+
+        if source.startswith(samples.PREFIX):
+            return await asyncio.to_thread(samples.open_scene, source)
+        scene = self.scene(source)
+        if scene is None:
+            raise UnknownName("scene", source[:60], ())
+        return scene
 
     def next_take(self) -> str:
         """A new id for a recording."""

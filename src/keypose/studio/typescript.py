@@ -11,7 +11,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from keypose.studio import edit_messages, messages, scene_messages
+from keypose.studio import edit_messages, messages, retarget_messages, scene_messages
 
 _PLAIN = {str: "string", int: "number", float: "number", bool: "boolean", type(None): "null"}
 
@@ -23,6 +23,7 @@ _UNIONS = (
     "ProjectMessage",
     "ProjectRequest",
     "EditCommand",
+    "RetargetAsked",
 )
 
 
@@ -52,7 +53,7 @@ def generate() -> str:
         "",
         f"export const PROTOCOL = {messages.PROTOCOL};",
     ]
-    for name, value in (vars(scene_messages) | vars(edit_messages) | vars(messages)).items():
+    for name, value in (vars(scene_messages) | vars(edit_messages) | vars(messages) | vars(retarget_messages)).items():
         if dataclasses.is_dataclass(value) and isinstance(value, type):
             hints = typing.get_type_hints(value)
             lines += ["", f"/** {(value.__doc__ or '').strip().splitlines()[0]} */", f"export interface {name} {{"]

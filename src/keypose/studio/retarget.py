@@ -1,0 +1,333 @@
+"""Retargeting for the studio's page: subjects with their roles, motions on other characters, files and edits made of them.
+
+Everything here runs on the event loop; finding roles, retargeting and writing happen in threads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from keypose.errors import KeyposeError, UnknownName
+from keypose.model import Character, Clip, Motion, Pose, Scene
+from keypose.project.commands import AddCharacter, Command, RemoveClip, SetTimeline, import_clip
+from keypose.studio import messages
+from keypose.studio import retarget_messages as r
+from keypose.studio.edit_messages import EditResult
+from keypose.studio.edit_wire import complaint
+from keypose.studio.editing import exports
+from keypose.studio.payload import encode
+
+if TYPE_CHECKING:
+    from keypose.analysis import RoleMap
+    from keypose.model import Document
+    from keypose.retarget import BodyFrames, RetargetResult
+    from keypose.studio.session import Session
+
+RESULTS_KEPT = 8
+SAMPLES_KEPT = 12
+
+_REFUSALS = (KeyposeError, ValueError, MemoryError, OSError)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """A scene that only this page shows."""
+
+    entry: messages.SceneEntry
+    payload: bytes
+    scene: Scene
+
+
+class Retargeting:
+    """What the retarget pages of one studio share."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._numbers = itertools.count(1)
+        self._jobs = itertools.count(1)
+        self._turn = asyncio.Semaphore(1)  # one after the other: each takes a core for itself
+        self._samples: dict[str, _Kept] = {}
+        self._results: dict[str, _Kept] = {}
+
+    def payload(self, id: str) -> bytes | None:
+        """The container of a motion that was retargeted, or of a built-in scene; None where there is none of that id."""
+        kept = self._results.get(id) or next((k for k in self._samples.values() if k.entry.id == id), None)
+        return None if kept is None else kept.payload
+
+    # ---- asking ------------------------------------------------------------------------------------------------------
+
+    async def subject(self, asked: r.RetargetSubjectRequest) -> r.RetargetSubject:
+        """A scene with the roles of its characters."""
+        try:
+            scene = await self._session.find_scene(asked.scene)
+            entry = self._session.entry(asked.scene) or await self._sample(asked.scene, scene)
+            found = await asyncio.to_thread(lambda: [_told(who, find_character_roles(who)) for who in scene.characters])
+        except _REFUSALS as error:
+            return r.RetargetSubject(None, [], complaint(error))
+        return r.RetargetSubject(entry, found, "")
+
+    async def roles(self, asked: r.RetargetRolesRequest) -> r.RetargetRoles:
+        """The roles of a character where some are known.
+
+        Raises:
+            KeyposeError: for a scene, character, role or joint that does not exist.
+        """
+        scene = await self._session.find_scene(asked.scene)
+        character = _character(scene, asked.character)
+        known = _map(asked.known, character)
+        return await asyncio.to_thread(
+            lambda: _told(character, find_character_roles(character, {} if known is None else known.roles))
+        )
+
+    async def retarget(self, asked: r.RetargetRequest) -> r.RetargetDone:
+        """Put a motion on a character; what cannot be done is in the answer."""
+        job = f"retarget {next(self._jobs)}"
+        try:
+            source = await self._session.find_scene(asked.source)
+            target = await self._session.find_scene(asked.target)
+            async with self._turn:
+                label = f"Retargeting {_animation(source, asked.animation).name or 'the motion'}"[:80]
+                self._session.broadcast(messages.Progress("progress", job, label, None, done=False), job)
+                return await asyncio.to_thread(self._retargeted, asked, source, target)
+        except _REFUSALS as error:
+            return _refused(complaint(error))
+        finally:
+            self._session.broadcast(messages.Progress("progress", job, "", 1.0, done=True), job)
+
+    async def export(self, id: str, kind: str) -> bytes:
+        """A retargeted motion with its character as a file.
+
+        Raises:
+            KeyposeError: where the format cannot hold it, or the motion or format is not known.
+        """
+        from keypose.studio.app import written
+
+        if kind not in _kinds():
+            raise UnknownName("export", kind[:20], _kinds())
+        return await asyncio.to_thread(written, self._result(id).scene, kind)
+
+    async def send_to_edit(self, id: str) -> EditResult:
+        """Add the character and its motion to the project, one step of undo."""
+        try:
+            scene = self._result(id).scene
+        except KeyposeError as error:
+            return EditResult("", 0, complaint(error), "")
+        motion = scene.animations[0]
+        label = f"Retarget {motion.name}"[:120]
+        return await self._session.editing.change(lambda document: performance_commands(document, scene), label)
+
+    # ---- doing -------------------------------------------------------------------------------------------------------
+
+    async def _sample(self, name: str, scene: Scene) -> messages.SceneEntry:
+        if name not in self._samples:
+            id = f"m{next(self._numbers)}"
+            data = await asyncio.to_thread(encode, scene, id=id, name=name)
+            self._samples[name] = _Kept(messages.SceneEntry(id, name, len(data)), data, scene)
+            while len(self._samples) > SAMPLES_KEPT:
+                del self._samples[next(iter(self._samples))]
+        return self._samples[name].entry
+
+    def _result(self, id: str) -> _Kept:
+        if id not in self._results:
+            raise UnknownName("retargeted motion", id[:20], list(self._results))
+        return self._results[id]
+
+    def _retargeted(self, asked: r.RetargetRequest, source: Scene, target: Scene) -> r.RetargetDone:
+        from keypose.editing.planting import PlantOptions
+        from keypose.retarget import retarget
+
+        own, other = _character(source, asked.source_character), _character(target, asked.target_character)
+        began = time.perf_counter()
+        motion = _as_motion(_animation(source, asked.animation), own, asked.rate_hz)
+
+        def run(plant: PlantOptions | None) -> RetargetResult:
+            return retarget(
+                motion,
+                own.skeleton,
+                other.skeleton,
+                source_roles=_roles(own, asked.source_roles),
+                target_roles=_roles(other, asked.target_roles),
+                source_reference=_reference(own, motion, asked.source_reference, asked.reference_s),
+                target_reference=other.skeleton.rest if asked.target_reference == "rest" else None,
+                target_motion=_own_motion(target, other),
+                target_ground_m=ground_height(other),
+                scale=asked.scale,
+                plant=plant,
+            )
+
+        done = run(PlantOptions() if asked.plant else None)
+        took = time.perf_counter() - began
+        loose = run(None).report.slide_cm_s if asked.plant else done.report.slide_cm_s
+        name = _animation(source, asked.animation).name or PurePath(asked.source.removeprefix("sample:")).stem
+        result = replace(done.motion, name=name)
+        kept = self._keep(Scene((other,), (result,), format="retarget", unit_m=target.unit_m), name)
+        report = done.report
+        return r.RetargetDone(
+            id=kept.entry.id,
+            scene=kept.entry,
+            error="",
+            name=name,
+            frames=result.frame_count,
+            rate_hz=float(result.rate_hz),
+            took_s=took,
+            scale=done.target.leg_m / done.source.leg_m if asked.scale is None else asked.scale,
+            direction_deg={bone: float(angle) for bone, angle in report.direction_deg.items()},
+            mean_direction_deg=float(report.mean_direction_deg),
+            source_slide_cm_s=float(report.source_slide_cm_s),
+            loose_slide_cm_s=float(loose),
+            slide_cm_s=float(report.slide_cm_s),
+            worst_slide_cm_s=float(report.worst_slide_cm_s),
+            sink_cm=float(report.sink_cm),
+            contact_frames=int(report.contact_frames),
+            source_contacts=_contacts(done.source, motion),
+            target_contacts=_contacts(done.target, result),
+            exports=_kinds(),
+            notes=list(done.notes),
+        )
+
+    def _keep(self, scene: Scene, name: str) -> _Kept:
+        id = f"r{next(self._numbers)}"
+        # the page has the character already: only the motion travels
+        data = encode(replace(scene, characters=()), id=id, name=name)
+        kept = self._results[id] = _Kept(messages.SceneEntry(id, name, len(data)), data, scene)
+        while len(self._results) > RESULTS_KEPT:
+            del self._results[next(iter(self._results))]
+        return kept
+
+
+def performance_commands(document: Document, scene: Scene) -> list[Command]:
+    """What adds a scene's character to a document with its first animation on the character's own timeline."""
+    adding = AddCharacter(scene.character)
+    with_character = adding.apply(document)
+    name = next(name for name in with_character.characters if name not in document.characters)
+    timeline = with_character.timeline(with_character.performs[name])
+    layer = timeline.layers[0]
+    empty = layer.placements[0]
+    adopted = import_clip(with_character, scene.animations[0])
+    clip = adopted.clip
+    placed = replace(empty, animation=clip.name, in_s=0.0)
+    end_s = max(clip.start_s + clip.duration_s, 1.0 / timeline.rate_hz)
+    performing = replace(
+        timeline,
+        layers=(replace(layer, placements=(placed,)), *timeline.layers[1:]),
+        rate_hz=clip.rate_hz or timeline.rate_hz,
+        start_s=clip.start_s,
+        end_s=end_s,
+    )
+    return [adding, adopted, SetTimeline(performing), RemoveClip(empty.animation)]
+
+
+def find_character_roles(character: Character, known: Mapping[str, int] | None = None) -> RoleMap:
+    """The roles of a character's joints; those of ``known`` and of its file (a VRM names them) are kept."""
+    from keypose.analysis import find_roles
+
+    # what a person says counts more than what the file says
+    file_says = {role: joint for role, joint in character.roles.items() if joint not in (known or {}).values()}
+    return find_roles(character.skeleton, known={**file_says, **(known or {})} or None)
+
+
+def ground_height(character: Character) -> float | None:
+    """The lowest point of a character's skinned surface at rest: what stands on the ground; None without one."""
+    from keypose import deform, evaluate
+
+    if not any(part.skin is not None for part in character.parts):
+        return None
+    standing = deform.deform_character(character, evaluate.world(character.skeleton, character.skeleton.rest))
+    return min((float(vertices[:, 1].min()) for vertices in standing if len(vertices)), default=None)
+
+
+def _kinds() -> list[str]:
+    return [kind for kind in exports() if kind != "keypose"]
+
+
+def _character(scene: Scene, number: int) -> Character:
+    if not 0 <= number < len(scene.characters):
+        raise UnknownName("character", str(number), [c.name for c in scene.characters])
+    return scene.characters[number]
+
+
+def _animation(scene: Scene, number: int) -> Motion | Clip:
+    if not 0 <= number < len(scene.animations):
+        raise UnknownName("animation", str(number), [a.name for a in scene.animations])
+    return scene.animations[number]
+
+
+def _map(names: Mapping[str, str] | None, character: Character) -> RoleMap | None:
+    from keypose.analysis import roles_from_json
+
+    return None if names is None else roles_from_json(json.dumps(names), character.skeleton)
+
+
+def _roles(character: Character, names: Mapping[str, str] | None) -> RoleMap | None:
+    """A page's map; else what is found, where that is a humanoid (where it is none, retargeting says why)."""
+    if names is not None:
+        return _map(names, character)
+    found = find_character_roles(character)
+    return found if found.is_humanoid else None
+
+
+def _told(character: Character, found: RoleMap) -> r.RetargetRoles:
+    names = character.skeleton.names
+    return r.RetargetRoles(
+        roles={role: names[joint] for role, joint in found.roles.items()},
+        confidence={role: float(sure) for role, sure in found.confidence.items()},
+        missing=list(found.missing),
+        all_fours=found.on_all_fours,
+        notes=list(found.notes),
+    )
+
+
+def _as_motion(animation: Motion | Clip, character: Character, rate_hz: float | None) -> Motion:
+    from keypose.evaluate import bake, key_rate, match, resample
+
+    if isinstance(animation, Clip):
+        return bake(animation, character.skeleton, rate_hz or animation.rate_hz or key_rate(animation) or 30.0)
+    motion = match(animation, character.skeleton)
+    return motion if rate_hz is None or rate_hz == motion.rate_hz else resample(motion, rate_hz)
+
+
+def _reference(character: Character, motion: Motion, kind: str, time_s: float) -> Pose | None:
+    if kind == "auto":
+        return None
+    if kind == "rest":
+        return character.skeleton.rest
+    frame = int(np.clip(round((time_s - motion.start_s) * motion.rate_hz), 0, motion.frame_count - 1))
+    pose = motion.pose.broadcast()
+    return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame])
+
+
+def _own_motion(scene: Scene, character: Character) -> Motion | None:
+    """A motion of the target's own file: it may show a stand where the rest pose is none."""
+    names = character.skeleton.names
+    return next((a for a in scene.animations if isinstance(a, Motion) and a.joint_names == names), None)
+
+
+def _contacts(body: BodyFrames, motion: Motion) -> list[r.RetargetContacts]:
+    """When the feet of a body touch the ground in its own motion."""
+    from keypose.analysis.contacts import foot_contacts
+    from keypose.evaluate import world_rotations_positions
+
+    places = np.asarray(world_rotations_positions(body.skeleton, motion.pose.broadcast())[1], np.float64)
+    touching = foot_contacts(body.roles, places, motion.rate_hz, body.leg_m)
+    role_of = {"heel": "foot", "ball": "toes"}
+    found: list[r.RetargetContacts] = []
+    for point, track in touching.items():
+        side, _, part = point.partition("_")
+        joint = body.roles[f"{side}_{role_of[part]}"]
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], track, [False]]).astype(np.int8)))
+        spans = [int(n) for first, after in zip(edges[::2], edges[1::2], strict=True) for n in (first, after - 1)]
+        found.append(r.RetargetContacts(point, body.skeleton.names[joint], spans))
+    return found
+
+
+def _refused(error: str) -> r.RetargetDone:
+    return r.RetargetDone("", None, error, "", 0, 0.0, 0.0, 1.0, {}, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, [], [], [], [])

@@ -1,0 +1,122 @@
+"""What a page asks of the server to put a motion on another character, and what it is answered.
+
+Requests are JSON bodies of ``POST api/retarget/...``, answers JSON too; motions travel as scenes (``GET api/scenes/{id}``).
+How they become TypeScript is in `keypose.studio.typescript`. Roles map to joint names, as in the files of ``keypose roles``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from keypose.studio.scene_messages import SceneEntry
+
+# ---- browser to server -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetSubjectRequest:
+    """Show a scene on this page: one that is open, or a built-in one as ``sample:NAME``."""
+
+    type: Literal["retarget_subject"]
+    scene: str
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetRolesRequest:
+    """Find the roles of a character anew; ``known`` ones are kept as they are."""
+
+    type: Literal["retarget_roles"]
+    scene: str
+    character: int
+    known: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetRequest:
+    """Put a scene's animation on another scene's character.
+
+    ``source_roles``, ``target_roles``: all roles of the character, or None for what the server finds. References: the rest
+    pose or a better stand where that is none, the rest pose whatever it is, or the source at ``reference_s`` of its own
+    time. ``scale`` None goes by leg length, ``rate_hz`` None keeps the animation's.
+    """
+
+    type: Literal["retarget"]
+    source: str
+    source_character: int
+    animation: int
+    target: str
+    target_character: int
+    source_roles: dict[str, str] | None
+    target_roles: dict[str, str] | None
+    source_reference: Literal["auto", "rest", "time"]
+    reference_s: float
+    target_reference: Literal["auto", "rest"]
+    scale: float | None
+    plant: bool
+    rate_hz: float | None
+
+
+RetargetAsked = RetargetSubjectRequest | RetargetRolesRequest | RetargetRequest
+
+
+# ---- server to browser -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetRoles:
+    """Which joint plays which role, and how sure that is (0..1); ``missing`` are needed and played by none."""
+
+    roles: dict[str, str]
+    confidence: dict[str, float]
+    missing: list[str]
+    all_fours: bool
+    notes: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetSubject:
+    """A scene that the page may show, and the roles of each of its characters."""
+
+    scene: SceneEntry | None
+    characters: list[RetargetRoles]
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetContacts:
+    """When a point of a foot touches the ground: ``spans`` are first and last frames, in pairs, one after the other."""
+
+    point: str
+    joint: str
+    spans: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class RetargetDone:
+    """The motion on the target and its figures; ``error`` says why there is none.
+
+    ``direction_deg``: bone -> mean angle between its directions on both bodies. Sliding of feet in contact in cm/s: of the
+    source, of the target before its feet were planted, and after. ``contacts`` are those of each body's own motion.
+    """
+
+    id: str
+    scene: SceneEntry | None
+    error: str
+    name: str
+    frames: int
+    rate_hz: float
+    took_s: float
+    scale: float
+    direction_deg: dict[str, float]
+    mean_direction_deg: float
+    source_slide_cm_s: float
+    loose_slide_cm_s: float
+    slide_cm_s: float
+    worst_slide_cm_s: float
+    sink_cm: float
+    contact_frames: int
+    source_contacts: list[RetargetContacts]
+    target_contacts: list[RetargetContacts]
+    exports: list[str]
+    notes: list[str]

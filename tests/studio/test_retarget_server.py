@@ -1,0 +1,200 @@
+"""Retargeting over real sockets: what a page gets is what the library makes, and it ends in files and in the project."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studio_scenes import Start, arm_scene
+from test_server import request, with_token
+
+from keypose import io, samples
+from keypose.analysis import find_roles
+from keypose.analysis.roles import ROLES
+from keypose.evaluate import bake, sample_timeline, world
+from keypose.model import Motion
+from keypose.project.file import from_bytes
+from keypose.retarget import retarget
+from keypose.studio import StudioServer
+from keypose.studio.container import unpack
+from keypose.studio.requests import parse_retarget_request
+from keypose.studio.retarget import ground_height
+
+PLAIN: dict[str, Any] = {
+    "type": "retarget",
+    "source": "sample:walk",
+    "source_character": 0,
+    "animation": 0,
+    "target": "sample:human",
+    "target_character": 0,
+    "source_roles": None,
+    "target_roles": None,
+    "source_reference": "auto",
+    "reference_s": 0.0,
+    "target_reference": "auto",
+    "scale": None,
+    "plant": True,
+    "rate_hz": None,
+}
+
+
+@pytest.fixture(scope="module")
+def server(start: Start) -> StudioServer:
+    return start(("arm.glb", arm_scene()))
+
+
+def ask(server: StudioServer, **fields: Any) -> Any:
+    body = json.dumps(fields).encode()
+    status, headers, data = request(server, "POST", "/api/retarget", body, with_token(server))
+    assert headers["content-type"].startswith("application/json"), data
+    assert status == 200
+    return json.loads(data)
+
+
+def motion_of(server: StudioServer, id: str) -> tuple[dict[str, Any], Any]:
+    status, _, data = request(server, "GET", f"/api/scenes/{id}", headers=with_token(server))
+    assert status == 200
+    header, body = unpack(data)
+
+    def read(ref: dict[str, Any]) -> np.ndarray:
+        return np.frombuffer(body[ref["offset"] : ref["offset"] + ref["bytes"]], ref["element"]).reshape(ref["shape"])
+
+    return header, read
+
+
+def test_a_subject_comes_with_the_roles_of_its_characters(server: StudioServer) -> None:
+    told = ask(server, type="retarget_subject", scene="sample:human")
+    assert told["error"] == ""
+    skeleton = samples.load("human").character.skeleton
+    found = find_roles(skeleton)
+    assert told["characters"][0]["roles"] == {role: skeleton.names[j] for role, j in found.roles.items()}
+    assert told["characters"][0]["missing"] == []
+    header, _ = motion_of(server, told["scene"]["id"])
+    assert header["characters"][0]["skeleton"]["names"] == list(skeleton.names)
+
+
+def test_what_is_no_humanoid_says_what_is_missing(server: StudioServer) -> None:
+    told = ask(server, type="retarget_subject", scene="s1")
+    assert told["scene"]["id"] == "s1" and "hips" in told["characters"][0]["missing"]
+    done = ask(server, **{**PLAIN, "target": "s1"})
+    assert done["scene"] is None and "no humanoid" in done["error"]
+    assert "scene" in ask(server, type="retarget_subject", scene="s77")["error"]
+
+
+def test_the_motion_is_the_librarys(server: StudioServer) -> None:
+    done = ask(server, **{**PLAIN, "scale": 0.8, "rate_hz": 30.0})
+    assert done["error"] == "" and done["scale"] == 0.8
+    walk, body = samples.load("walk"), samples.load("human").character
+    expected = retarget(
+        walk.animations[0],
+        walk.character.skeleton,
+        body.skeleton,
+        scale=0.8,
+        rate_hz=30.0,
+        target_ground_m=ground_height(body),
+    )
+    assert done["frames"] == expected.motion.frame_count and done["rate_hz"] == 30.0
+    assert done["direction_deg"] == pytest.approx(expected.report.direction_deg, abs=1e-6)
+    assert done["slide_cm_s"] == pytest.approx(expected.report.slide_cm_s, abs=1e-6)
+    header, read = motion_of(server, done["id"])
+    sent = header["animations"][0]
+    assert header["characters"] == [] and sent["name"] == walk.animations[0].name
+    assert np.abs(read(sent["rotations"]) - expected.motion.pose.broadcast().rotations).max() < 1e-6
+    assert np.abs(read(sent["translations"]) - expected.motion.pose.broadcast().translations).max() < 1e-6
+
+
+def test_contacts_are_where_feet_are_down(server: StudioServer) -> None:
+    done = ask(server, **PLAIN)
+    header, _ = motion_of(server, done["id"])
+    human = samples.load("human").character
+    status, _, data = request(server, "GET", f"/api/retarget/{done['id']}/glb", headers=with_token(server))
+    assert status == 200
+    assert {c["point"] for c in done["target_contacts"]} == {"left_heel", "left_ball", "right_heel", "right_ball"}
+    walked = _loaded(data)
+    places = np.asarray(world(walked.character.skeleton, _motion(walked).pose))[..., :3, 3]
+    for contact in done["target_contacts"]:
+        joint = walked.character.skeleton.names.index(contact["joint"])
+        spans = np.reshape(contact["spans"], (-1, 2))
+        assert len(spans) > 0 and spans.max() < done["frames"] and np.all(spans[:, 0] <= spans[:, 1])
+        down = np.zeros(done["frames"], bool)
+        for first, last in spans:
+            down[first : last + 1] = True
+        height = places[:, joint, 1]
+        assert height[down].max() < np.percentile(height, 2) + 0.05
+        assert height[down].mean() + 0.01 < height[~down].mean()
+    assert human.skeleton.joint_count <= walked.character.skeleton.joint_count
+    assert header["animations"][0]["frames"] == done["frames"]
+
+
+def _loaded(data: bytes) -> Any:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.glb")
+        path.write_bytes(data)
+        return io.load(path)
+
+
+def _motion(scene: Any) -> Motion:
+    found = scene.animations[0]
+    return found if isinstance(found, Motion) else bake(found, scene.character.skeleton, 60.0)
+
+
+def test_a_map_counts_and_a_wrong_one_is_told(server: StudioServer) -> None:
+    told = ask(server, type="retarget_subject", scene="sample:human")["characters"][0]
+    without = {role: joint for role, joint in told["roles"].items() if not role.startswith("left_index")}
+    done = ask(server, **{**PLAIN, "target_roles": without})
+    assert done["error"] == "" and any("left_index" in note for note in done["notes"])
+    wrong = ask(server, **{**PLAIN, "target_roles": {**without, "hips": "Hisp"}})
+    assert wrong["scene"] is None and "Hips" in wrong["error"]
+    kept = ask(server, type="retarget_roles", scene="sample:human", character=0, known={"jaw": "Head"})
+    assert kept["roles"]["jaw"] == "Head" and kept["confidence"]["jaw"] == 1.0
+    assert set(kept["roles"]) <= set(ROLES)
+
+
+def test_what_is_no_request_is_refused(server: StudioServer) -> None:
+    for body in (b"", b"{", b"[]", json.dumps({**PLAIN, "scale": "two"}).encode(), json.dumps({"type": "x"}).encode()):
+        status, _, _ = request(server, "POST", "/api/retarget", body, with_token(server))
+        assert status == 400
+        assert parse_retarget_request(body.decode()) is None
+    assert request(server, "POST", "/api/retarget", json.dumps(PLAIN).encode())[0] == 403
+    assert request(server, "GET", "/api/retarget/r99/glb", headers=with_token(server))[0] == 422
+    done = ask(server, **PLAIN)
+    assert request(server, "GET", f"/api/retarget/{done['id']}/exe", headers=with_token(server))[0] == 422
+    assert ask(server, **{**PLAIN, "animation": 9})["error"]
+    assert "scale" in ask(server, **{**PLAIN, "scale": -1.0})["error"]
+
+
+def test_it_goes_into_the_project_as_one_step(server: StudioServer) -> None:
+    done = ask(server, **PLAIN)
+    body = json.dumps({}).encode()
+    status, _, data = request(server, "POST", f"/api/retarget/{done['id']}/edit", body, with_token(server))
+    result = json.loads(data)
+    assert status == 200 and result["error"] == ""
+    status, _, project = request(server, "GET", "/api/project/export/keypose", headers=with_token(server))
+    document = from_bytes(project)
+    (name,) = document.characters
+    timeline = document.timeline(document.performs[name])
+    (placement,) = timeline.layers[0].placements
+    clip = document.clip(placement.animation)
+    assert list(document.clips) == [clip.name] == [done["name"]]
+    assert timeline.end_s == pytest.approx(clip.start_s + clip.duration_s)
+    header, read = motion_of(server, done["id"])
+    sent = read(header["animations"][0]["rotations"])
+    skeleton = document.character(name).skeleton
+    for frame in (0, 7, done["frames"] - 1):
+        time_s = clip.start_s + frame / done["rate_hz"]
+        shown = sample_timeline(timeline, document.clips, skeleton, time_s)
+        assert np.abs(np.sum(shown.rotations * sent[frame], axis=-1)).min() > 1 - 1e-6
+
+
+@pytest.mark.data
+def test_a_real_pair(start: Start, data_dir: Path) -> None:
+    own = data_dir / "asf_amc" / "cmu_02"
+    server = start(("02_01.amc", io.load(own / "02_01.amc")), ("arm.glb", arm_scene()))
+    done = ask(server, **{**PLAIN, "source": "s1"})
+    assert done["error"] == ""
+    assert done["slide_cm_s"] < 1.0 < done["loose_slide_cm_s"]
+    assert done["mean_direction_deg"] < 8.0
