@@ -2,6 +2,7 @@
 
 from keypose.analysis.contacts import contact_changes, find_contacts, foot_contacts
 from keypose.analysis.doctor import Examination, Finding, examine
+from keypose.analysis.limits import human_limits
 from keypose.analysis.proof import SceneError, scene_error
 from keypose.analysis.quality import Quality, TakeDifference, compare_takes, measure_quality
 from keypose.analysis.roles import RoleMap, find_roles, roles_from_json
@@ -21,6 +22,7 @@ __all__ = [
     "find_contacts",
     "find_roles",
     "foot_contacts",
+    "human_limits",
     "measure_quality",
     "roles_from_json",
     "roundtrip_error",

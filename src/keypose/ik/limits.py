@@ -50,17 +50,25 @@ class EulerRange:
 class Cone:
     """Swing of ``axis`` inside an ellipse, and twist about it: a shoulder, a hip.
 
-    ``swing_rad``: how far it swings about the two axes across ``axis`` (those of the joint that are least along it, in the
-    order x, y, z); one number for a round cone.
+    ``swing_rad``: how far it swings about the two axes across ``axis``; one number for a round cone. The first of them is
+    ``across``, made perpendicular to ``axis``; without it both are those of the joint that are least along ``axis``, in the
+    order x, y, z. ``center``: where the middle of the cone is, a quaternion (w, x, y, z) from the joint at rest; a shoulder
+    at rest is nowhere near the middle of what it can do.
     """
 
     axis: Vector
     swing_rad: float | tuple[float, float]
     twist_low_rad: float = -np.pi
     twist_high_rad: float = np.pi
+    center: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    across: Vector | None = None
 
     def __post_init__(self) -> None:
         _check_axis(self.axis)
+        if abs(float(np.linalg.norm(self.center)) - 1.0) > 1e-6:
+            raise ShapeError(f"center: expected a unit quaternion, got {self.center}")
+        if self.across is not None and float(np.linalg.norm(np.cross(self.axis, self.across))) < 1e-9:
+            raise ShapeError(f"across: expected a direction across the axis {self.axis}, got {self.across}")
         _check_range(self.twist_low_rad, self.twist_high_rad, "twist_low_rad, twist_high_rad")
         if min(self.swings) <= 0 or max(self.swings) > np.pi:
             raise ShapeError(f"swing_rad: expected more than 0 and at most pi, got {self.swing_rad}")
@@ -90,8 +98,10 @@ def clamp_rotation(limit: JointLimit, rotation: Array, rest: Array = (1.0, 0.0, 
             allowed = quat.from_axis_angle(np.broadcast_to(along, (*angle.shape, 3)), angle)
         case EulerRange(order=order, low_rad=low, high_rad=high):
             allowed = euler.to_quat(_nearest_angles(turn, order, np.array(low), np.array(high)), order)
-        case Cone(axis=axis):
-            allowed = _in_cone(limit, turn, _unit(axis))
+        case Cone(axis=axis, center=center):
+            middle = np.broadcast_to(np.asarray(center, np.float64), turn.shape)
+            allowed = _in_cone(limit, quat.multiply(quat.conjugate(middle), turn), _unit(axis))
+            allowed = quat.multiply(middle, allowed)
     return quat.multiply(home, allowed)
 
 
@@ -181,7 +191,7 @@ def _in_cone(limit: Cone, turn: Floats, axis: Floats) -> Floats:
     along = np.broadcast_to(axis, (*turn.shape[:-1], 3))
     swing, twist = quat.swing_twist(turn, along)
     angle = _clamped(_twist_angle(twist, axis), limit.twist_low_rad, limit.twist_high_rad)
-    across = np.stack(_across(axis))
+    across = np.stack(swing_axes(limit))
     vector = np.asarray(quat.to_rotation_vector(quat.shortest(swing)))
     parts = vector @ across.T  # (*B, 2)
     reach = np.linalg.norm(parts / np.array(limit.swings), axis=-1, keepdims=True)
@@ -189,10 +199,11 @@ def _in_cone(limit: Cone, turn: Floats, axis: Floats) -> Floats:
     return quat.multiply(quat.from_rotation_vector(inside @ across), quat.from_axis_angle(along, angle))
 
 
-def _across(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit axes across one, as near to the joint's own as they can be."""
+def swing_axes(limit: Cone) -> tuple[Floats, Floats]:
+    """The two unit axes about which a cone swings, across its axis and each other."""
+    axis = _unit(limit.axis)
     order = np.argsort(np.abs(axis), kind="stable")[:2]
-    first = np.eye(3)[int(order.min())]
+    first = np.eye(3)[int(order.min())] if limit.across is None else np.asarray(limit.across, np.float64)
     first = first - axis * float(first @ axis)
     first /= np.linalg.norm(first)
     return first, np.cross(axis, first)
