@@ -1,7 +1,8 @@
 """Retargeting: any humanoid's motion on any humanoid, feet planted."""
 
-from keypose.retarget.body import BodyFrames, body_frames, find_stand
+from keypose.retarget.body import BodyFrames, body_frames
 from keypose.retarget.report import RetargetReport, compare_motions
+from keypose.retarget.stand import find_stand
 from keypose.retarget.transfer import RetargetResult, retarget
 
 __all__ = [

@@ -18,10 +18,8 @@ from keypose.arrays import Floats
 from keypose.errors import KeyposeError
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
-from keypose.model import Motion, Pose, Skeleton
-
-# A reference pose whose trunk or legs lean further than this is no stand.
-_LEAN_LIMIT = np.radians(35.0)
+from keypose.model import Pose, Skeleton
+from keypose.retarget.stand import leftward
 
 _UP = np.array([0.0, 1.0, 0.0])
 
@@ -104,75 +102,9 @@ def body_frames(
     return BodyFrames(skeleton, known, rotations, places, frames, facing, float(np.mean(lengths)), ankle - low, low)
 
 
-def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | None = None) -> tuple[Pose | None, str]:
-    """An upright stand of a skeleton, and in words where it is not its rest pose (then None and nothing).
-
-    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, the most upright
-    frame of a motion is taken, if there is one.
-    """
-    rest = skeleton.rest
-    places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
-    if _lean(places, roles) < _LEAN_LIMIT:
-        return None, ""
-    turn = _upright(places, roles)
-    if turn is not None and _lean(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles) < _LEAN_LIMIT:
-        translations, rotations = np.array(rest.translations, np.float64), np.array(rest.rotations, np.float64)
-        for root in np.nonzero(skeleton.parents < 0)[0]:
-            translations[root] = quat.rotate(turn, translations[root])
-            rotations[root] = quat.multiply(turn, rotations[root])
-        return Pose(translations, rotations, rest.scales), "the rest pose lies; it was turned upright"
-    if motion is None or motion.frame_count == 0:
-        return None, "the rest pose is no upright stand; name a reference pose"
-    pose = motion.pose.broadcast()
-    step = max(1, motion.frame_count // 400)
-    shown = np.asarray(world_rotations_positions(skeleton, pose)[1], np.float64)[::step]
-    feet = [roles[f"{s}_{part}"] for s in SIDES for part in ("foot", "toes") if f"{s}_{part}" in roles]
-    above = shown[:, feet, 1] - np.percentile(shown[:, feet, 1], 2.0, axis=0)
-    lifted = above.max(axis=1) / max(float(np.ptp(shown[0][:, 1])), 1e-9)
-    frame = int(np.argmin([_lean(p, roles) + 4.0 * up for p, up in zip(shown, lifted, strict=True)])) * step
-    note = f"the rest pose is no upright stand; frame {frame} of the motion is taken for one"
-    return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame]), note
-
-
-def _upright(places: Floats, roles: Mapping[str, int]) -> Floats | None:
-    """The turn that sets a body on its feet, facing +Z."""
-    feet = np.mean([places[roles[f"{s}_foot"]] for s in SIDES], axis=0)
-    up = places[roles["head"]] - feet if "head" in roles else places[roles["hips"]] - feet
-    left = places[roles["left_upper_leg"]] - places[roles["right_upper_leg"]]
-    if float(np.linalg.norm(up)) < 1e-9 or float(np.linalg.norm(left)) < 1e-9:
-        return None
-    up = up / np.linalg.norm(up)
-    left = left - up * float(left @ up)
-    left = left / max(float(np.linalg.norm(left)), 1e-12)
-    axes = np.stack([left, up, np.cross(left, up)])
-    # Files lie along an axis; how a head leans over its feet must not turn the whole body by some degrees.
-    whole = np.rint(axes)
-    if np.abs(axes - whole).max() < 0.3 and abs(float(np.linalg.det(whole)) - 1.0) < 1e-9:
-        axes = whole
-    return quat.conjugate(quat.from_axes(*axes))
-
-
-def _lean(places: Floats, roles: Mapping[str, int]) -> float:
-    """How far trunk and legs are from upright, radians; pi where they cannot be told."""
-    worst = 0.0
-    for low, high in (("hips", "head"), *((f"{s}_foot", f"{s}_upper_leg") for s in SIDES)):
-        if low not in roles or high not in roles:
-            return float(np.pi)
-        up = places[roles[high]] - places[roles[low]]
-        length = float(np.linalg.norm(up))
-        if length < 1e-9:
-            return float(np.pi)
-        worst = max(worst, float(np.arccos(np.clip(up[1] / length, -1.0, 1.0))))
-    return worst
-
-
 def _facing(roles: Mapping[str, int], places: Floats) -> Floats:
     """The body's frame: left by hips and shoulders, up, and forward."""
-    left = np.zeros(3)
-    for part in ("upper_leg", "upper_arm"):
-        if f"left_{part}" in roles and f"right_{part}" in roles:
-            left += places[roles[f"left_{part}"]] - places[roles[f"right_{part}"]]
-    left[1] = 0.0
+    left = leftward(places, roles)
     length = float(np.linalg.norm(left))
     if length < 1e-9:
         raise KeyposeError("left and right cannot be told: both hips are at one place in the reference pose")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from keypose.analysis.roles import ROLES, SIDES, RoleMap, find_roles
 from keypose.arrays import Floats
@@ -14,13 +15,17 @@ from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import bake, key_rate, match, resample, world_rotations_positions
 from keypose.math import quat
 from keypose.model import Clip, Motion, Pose, Skeleton
-from keypose.retarget.body import BodyFrames, body_frames, find_stand
+from keypose.retarget.body import BodyFrames, body_frames
 from keypose.retarget.report import RetargetReport, body_contacts, compare_motions
+from keypose.retarget.stand import find_stand
 
 Roles = RoleMap | Mapping[str, int]
 
 # Frames with heel and ball on the ground that are enough to say how a foot stands.
 _FEWEST_FLAT = 5
+
+# How fast hips follow the height of the feet that carry them: the width of a Gauss filter in seconds.
+_HIPS_FOLLOW_S = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +101,10 @@ def retarget(
     model = _model_rotations(own, other, turned)
     hips = _hips_path(own, other, turned, places, model, ratio)
     moved = _as_pose(other, model, hips)
+    rise = _rise(other, moved, touching, None if plant is None else motion.rate_hz)
+    if np.any(rise):
+        hips[:, 1] += rise
+        moved = _as_pose(other, model, hips)
     result = Motion(
         target.names,
         moved,
@@ -280,6 +289,37 @@ def _hips_path(
     offset = other.places[[other.roles[f"{s}_upper_leg"] for s in SIDES]].mean(axis=0) - other.places[hips]
     local = quat.rotate(quat.conjugate(other.rotations[hips]), offset)
     return path - quat.rotate(model[:, hips], np.broadcast_to(local, path.shape))
+
+
+def _rise(other: BodyFrames, pose: Pose, touching: Mapping[str, np.ndarray], rate_hz: float | None) -> Floats:
+    """How far the hips have to go up (T,) so that feet in contact are about as high as they stand.
+
+    Smooth in time; without a rate it is the same for all frames.
+
+    Captured feet are some centimetres off their floor, each by its own. Left to the legs alone, knees would bend and stretch
+    for that; hips that follow the feet that carry them keep the legs as they are.
+    """
+    places = np.asarray(world_rotations_positions(other.skeleton, pose)[1], np.float64)
+    total, weight = np.zeros(len(places)), np.zeros(len(places))
+    for side in SIDES:
+        points = [
+            np.where(touching[f"{side}_{point}"], other.places[joint, 1] - places[:, joint, 1], -np.inf)
+            for point, joint in (("heel", other.roles.get(f"{side}_foot")), ("ball", other.roles.get(f"{side}_toes")))
+            if joint is not None and f"{side}_{point}" in touching
+        ]
+        if points:
+            under = np.max(points, axis=0)
+            carrying = np.isfinite(under)
+            total[carrying] += under[carrying]
+            weight += carrying
+    frames = np.flatnonzero(weight)
+    if not len(frames):
+        return total
+    if rate_hz is None:
+        return np.full(len(total), np.median(total[frames] / weight[frames]))
+    # Between contacts it goes over in a straight line, and all of it is made smooth.
+    curve = np.interp(np.arange(len(total)), frames, total[frames] / weight[frames])
+    return gaussian_filter1d(curve, _HIPS_FOLLOW_S * rate_hz, mode="nearest")
 
 
 def _as_pose(body: BodyFrames, model: Floats, hips_path: Floats) -> Pose:

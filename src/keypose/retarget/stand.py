@@ -1,0 +1,192 @@
+"""Upright stands: the reference poses out of which motions turn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from keypose.analysis.roles import SIDES
+from keypose.arrays import Floats
+from keypose.evaluate import world_rotations_positions
+from keypose.math import quat
+from keypose.model import Motion, Pose, Skeleton
+
+# A reference pose whose trunk or legs lean further than this is no stand.
+_LEAN_LIMIT = np.radians(35.0)
+
+# Frames that lean no further than the most upright one and this are looked at for a stand.
+_LEAN_MORE = np.radians(12.0)
+
+_UP = np.array([0.0, 1.0, 0.0])
+_DOWN = -_UP
+
+
+def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | None = None) -> tuple[Pose | None, str]:
+    """An upright stand of a skeleton, and in words where it is not its rest pose (then None and nothing).
+
+    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, one is made from
+    the upright frames of a motion, if there is one: their mean, facing +Z, with straight legs and the feet as they stand.
+    """
+    rest = skeleton.rest
+    places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
+    if lean(places, roles) < _LEAN_LIMIT:
+        return None, ""
+    turn = _upright(places, roles)
+    if turn is not None and lean(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles) < _LEAN_LIMIT:
+        return _turned(skeleton, turn), "the rest pose lies; it was turned upright"
+    if motion is None or motion.frame_count == 0:
+        return None, "the rest pose is no upright stand; name a reference pose"
+    pose, used = _mean_stand(skeleton, roles, motion)
+    return pose, f"the rest pose is no upright stand; the mean of {used} upright frames is taken for one"
+
+
+def lean(places: Floats, roles: Mapping[str, int]) -> Floats:
+    """How far trunk and legs are from upright (...), radians; pi where they cannot be told. ``places`` (..., J, 3)."""
+    worst = np.zeros(places.shape[:-2])
+    for low, high in (("hips", "head"), *((f"{s}_foot", f"{s}_upper_leg") for s in SIDES)):
+        if low not in roles or high not in roles:
+            return np.full(places.shape[:-2], np.pi)
+        up = places[..., roles[high], :] - places[..., roles[low], :]
+        length = np.linalg.norm(up, axis=-1)
+        cosine = np.clip(up[..., 1] / np.maximum(length, 1e-12), -1.0, 1.0)
+        worst = np.maximum(worst, np.where(length < 1e-9, np.pi, np.arccos(cosine)))
+    return worst
+
+
+def leftward(places: Floats, roles: Mapping[str, int]) -> Floats:
+    """Level directions from right to left by hips and shoulders, not normalised (..., 3)."""
+    left = np.zeros((*places.shape[:-2], 3))
+    for part in ("upper_leg", "upper_arm"):
+        if f"left_{part}" in roles and f"right_{part}" in roles:
+            left += places[..., roles[f"left_{part}"], :] - places[..., roles[f"right_{part}"], :]
+    left[..., 1] = 0.0
+    return left
+
+
+def standing_feet(places: Floats, roles: Mapping[str, int]) -> tuple[float, float | None]:
+    """Heights of ankle and of toe joint of a foot that stands: the lowest that both feet have in a motion (T, J, 3).
+
+    The lowest two in a hundred frames are left out; the toes' height is None where no foot has any.
+    """
+
+    def lowest(part: str) -> float | None:
+        joints = [roles[f"{side}_{part}"] for side in SIDES if f"{side}_{part}" in roles]
+        return float(np.percentile(places[:, joints, 1], 2.0, axis=0).min()) if joints else None
+
+    ankle = lowest("foot")
+    return 0.0 if ankle is None else ankle, lowest("toes")
+
+
+def _turned(skeleton: Skeleton, turn: Floats) -> Pose:
+    """The rest pose turned as a whole."""
+    rest = skeleton.rest
+    translations, rotations = np.array(rest.translations, np.float64), np.array(rest.rotations, np.float64)
+    for root in np.nonzero(skeleton.parents < 0)[0]:
+        translations[root] = quat.rotate(turn, translations[root])
+        rotations[root] = quat.multiply(turn, rotations[root])
+    return Pose(translations, rotations, rest.scales)
+
+
+def _upright(places: Floats, roles: Mapping[str, int]) -> Floats | None:
+    """The turn that sets a body on its feet, facing +Z."""
+    feet = np.mean([places[roles[f"{s}_foot"]] for s in SIDES], axis=0)
+    up = places[roles["head"]] - feet if "head" in roles else places[roles["hips"]] - feet
+    left = places[roles["left_upper_leg"]] - places[roles["right_upper_leg"]]
+    if float(np.linalg.norm(up)) < 1e-9 or float(np.linalg.norm(left)) < 1e-9:
+        return None
+    up = up / np.linalg.norm(up)
+    left = left - up * float(left @ up)
+    left = left / max(float(np.linalg.norm(left)), 1e-12)
+    axes = np.stack([left, up, np.cross(left, up)])
+    # Files lie along an axis; how a head leans over its feet must not turn the whole body by some degrees.
+    whole = np.rint(axes)
+    if np.abs(axes - whole).max() < 0.3 and abs(float(np.linalg.det(whole)) - 1.0) < 1e-9:
+        axes = whole
+    return quat.conjugate(quat.from_axes(*axes))
+
+
+# --- a stand out of a motion ------------------------------------------------------------------------------------------
+
+
+def _mean_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion) -> tuple[Pose, int]:
+    """The mean of a motion's upright frames, without their heading, on straight legs; and how many frames that were."""
+    pose = motion.pose.broadcast()
+    step = max(1, motion.frame_count // 400)
+    turned, places = (np.asarray(a, np.float64)[::step] for a in world_rotations_positions(skeleton, pose))
+    leaning = lean(places, roles)
+    chosen = np.flatnonzero(leaning <= float(leaning.min()) + _LEAN_MORE)
+    left = leftward(places[chosen], roles)
+    heading = np.arctan2(-left[:, 2], left[:, 0])
+    unturn = quat.from_axis_angle(_UP, -heading)[:, None]
+    mean = quat.average(np.moveaxis(quat.multiply(unturn, turned[chosen]), 0, -2))
+    stand = _Standing(skeleton, pose, int(chosen[0]) * step, mean)
+    ankle, toes = standing_feet(places, roles)
+    for side in SIDES:
+        upper, lower, foot = (roles.get(f"{side}_{part}") for part in ("upper_leg", "lower_leg", "foot"))
+        if upper is not None and lower is not None and foot is not None:
+            stand.point(upper, lower, _DOWN)
+            stand.point(lower, foot, _DOWN)
+            if toes is not None and f"{side}_toes" in roles:
+                stand.slope(foot, roles[f"{side}_toes"], toes - ankle)
+        arm, fore, hand = (roles.get(f"{side}_{part}") for part in ("upper_arm", "lower_arm", "hand"))
+        if arm is not None and fore is not None and hand is not None:
+            stand.point(fore, hand, stand.places[fore] - stand.places[arm])
+    return stand.pose(ankle, [roles[f"{side}_foot"] for side in SIDES]), len(chosen)
+
+
+class _Standing:
+    """A pose in the model's space whose bones are set one after the other."""
+
+    def __init__(self, skeleton: Skeleton, pose: Pose, frame: int, rotations: Floats) -> None:
+        self.skeleton, self.rotations = skeleton, np.array(rotations, np.float64)
+        self.translations = np.array(pose.translations[frame], np.float64)
+        self.scales = pose.scales[frame]
+        self.places = np.zeros_like(self.translations)
+        self.place()
+
+    def local(self) -> Floats:
+        parents = self.skeleton.parents
+        rotations = np.array(self.rotations)
+        child = parents >= 0
+        rotations[child] = quat.multiply(quat.conjugate(self.rotations[parents[child]]), self.rotations[child])
+        return rotations
+
+    def place(self) -> None:
+        pose = Pose(self.translations, self.local(), self.scales)
+        self.places = np.asarray(world_rotations_positions(self.skeleton, pose)[1], np.float64)
+
+    def below(self, joint: int) -> list[int]:
+        found = {joint}
+        for child, parent in enumerate(self.skeleton.parents):
+            if int(parent) in found:
+                found.add(child)
+        return sorted(found)
+
+    def turn(self, joint: int, turn: Floats) -> None:
+        joints = self.below(joint)
+        self.rotations[joints] = quat.multiply(turn, self.rotations[joints])
+        self.place()
+
+    def point(self, joint: int, end: int, direction: Floats) -> None:
+        """Turn a bone, and all that hangs on it, into a direction by the shortest way."""
+        bone = self.places[end] - self.places[joint]
+        length, asked = float(np.linalg.norm(bone)), float(np.linalg.norm(direction))
+        if length > 1e-9 and asked > 1e-9:
+            self.turn(joint, quat.from_two_vectors(bone / length, direction / asked))
+
+    def slope(self, foot: int, toes: int, rise: float) -> None:
+        """Pitch a foot so that its toe joint is ``rise`` metres over its ankle."""
+        bone = self.places[toes] - self.places[foot]
+        length, level = float(np.linalg.norm(bone)), np.array([bone[0], 0.0, bone[2]])
+        flat = float(np.linalg.norm(level))
+        if length > 1e-9 and flat > 1e-9 and abs(rise) < length:
+            ahead = level / flat
+            self.point(foot, toes, np.sqrt(length**2 - rise**2) * ahead + rise * _UP)
+
+    def pose(self, ankle_m: float, feet: Sequence[int]) -> Pose:
+        """The pose with its ankles at a height."""
+        lift = ankle_m - float(np.mean(self.places[feet, 1]))
+        for root in np.flatnonzero(self.skeleton.parents < 0):
+            self.translations[root, 1] += lift
+        return Pose(self.translations, quat.normalize(self.local()), self.scales)
