@@ -1,0 +1,308 @@
+"""Reach edits: a hand, a foot, any joint is at a place in some frames, and the motion around them gives way smoothly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from keypose.arrays import Array, Floats, Ints, checked
+from keypose.editing.displacement import displace, fit_displacement, rotation_change
+from keypose.editing.limb_pose import LimbJoints, bend_direction, bend_limb, limb_above
+from keypose.errors import ShapeError, UnknownName
+from keypose.evaluate import world_rotations_positions
+from keypose.ik import chain_between, solve_ccd
+from keypose.math import quat
+from keypose.model import Motion, Skeleton
+
+Progress = Callable[[int, int], None]
+
+REACHED_M = 1e-4
+"""So near a joint has to be for its constraint to count as met."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """A joint that is at a place from a first to a last frame.
+
+    Shapes and units:
+        joint: a joint's name, or a role such as ``left_hand``.
+        first, last: frames, both counted in; ``last`` is ``first`` if not given.
+        target: (3,) or (N, 3) metres in the model's space, one for each frame.
+        offset: (3,) or (N, 3) metres from where the joint is in the motion, instead of a target.
+        rotation: (4,) or (N, 4) of the joint in the model's space. If not given, feet keep theirs and hands turn with the
+            arm; ``keep_rotation`` says otherwise.
+
+    Raises:
+        ShapeError: where there is not exactly one of target and offset, or a shape or frame does not fit.
+    """
+
+    joint: str
+    first: int
+    last: int = -1
+    target: Any = None
+    offset: Any = None
+    rotation: Any = None
+    keep_rotation: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.last == -1:
+            object.__setattr__(self, "last", self.first)
+        if not 0 <= self.first <= self.last:
+            raise ShapeError(f"{self.joint}: expected frames first <= last from 0 on, got {self.first} to {self.last}")
+        if (self.target is None) == (self.offset is None):
+            raise ShapeError(f"{self.joint}: expected a target or an offset")
+        frames = self.last - self.first + 1
+        for name, width in (("target", 3), ("offset", 3), ("rotation", 4)):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            array = np.asarray(given, np.float64)
+            if array.shape not in ((width,), (frames, width)) or not np.all(np.isfinite(array)):
+                raise ShapeError(f"{self.joint}: {name}: expected ({width},) or ({frames}, {width}), got {array.shape}")
+            object.__setattr__(self, name, np.array(np.broadcast_to(array, (frames, width))))
+        if self.rotation is not None:
+            object.__setattr__(self, "rotation", quat.normalize(self.rotation))
+
+    @property
+    def frames(self) -> Ints:
+        """All frames of the constraint."""
+        return np.arange(self.first, self.last + 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReachResult:
+    """The motion after reach edits.
+
+    Shapes and units: ``error_m`` for each constraint its distance left (N,) metres; ``converged`` whether all are at most
+    `REACHED_M`; ``changed`` (T,) the frames that are not as before.
+    """
+
+    motion: Motion
+    error_m: tuple[Floats, ...]
+    converged: bool
+    changed: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Goal:
+    """A constraint with its joint found and its places known."""
+
+    reach: Reach
+    joint: int
+    targets: Floats
+    limb: LimbJoints | None
+    keep_rotation: bool
+
+
+@dataclass(slots=True)
+class _Changes:
+    """Wanted changes at frames, by joint."""
+
+    frames: list[Ints] = field(default_factory=list[Any])
+    values: list[Floats] = field(default_factory=list[Any])
+
+    def add(self, frames: Ints, values: Floats) -> None:
+        self.frames.append(frames)
+        self.values.append(values)
+
+    def fitted(self, frame_count: int, ease: int) -> Floats:
+        frames = np.concatenate(self.frames)
+        order = np.argsort(frames, kind="stable")
+        return fit_displacement(frames[order], np.concatenate(self.values)[order], frame_count, ease).values
+
+
+def reach(
+    motion: Motion,
+    skeleton: Skeleton,
+    reaches: Sequence[Reach],
+    *,
+    roles: Mapping[str, int] | None = None,
+    ease_s: float = 0.4,
+    softness: float = 0.0,
+    progress: Progress | None = None,
+) -> ReachResult:
+    """A motion in which joints are where they should be, with a smooth displacement that begins and ends ``ease_s`` around.
+
+    Hands and feet, and what hangs on them, are reached by their two bones, a root by moving it, everything else by the joints
+    above it. Roots are moved first, limbs last, so that a planted foot stays planted. Frames further away are not touched at
+    all. A target out of reach is approached as far as the limb goes, and the result says so.
+
+    Shapes and units: ``roles`` as `keypose.analysis.find_roles` finds them, which is asked if they are not given;
+    ``softness`` the share of a limb's length over which it slows down before it is straight (it then stays a little short).
+
+    Raises:
+        UnknownName: for a joint that is not there.
+        ShapeError: where frames lie outside the motion, or two constraints want the same limb in the same frame.
+
+    Source: J. Lee and S. Y. Shin, "A hierarchical approach to interactive motion editing for human-like figures"
+    (SIGGRAPH 1999).
+    """
+    if not (np.isfinite(ease_s) and ease_s >= 0):
+        raise ShapeError(f"ease_s: expected 0 or more seconds, got {ease_s}")
+    ease = max(2, round(ease_s * motion.rate_hz))
+    known = _roles(skeleton, roles)
+    goals = [_goal(r, motion, skeleton, known) for r in reaches]
+    _refuse_conflicts(goals, skeleton)
+    result = motion
+    done = 0
+    for stage in _stages(goals, skeleton):
+        # What rounding and a first pass leave, further ones take.
+        for _ in range(3):
+            turns: dict[int, _Changes] = {}
+            moves: dict[int, _Changes] = {}
+            for goal in stage:
+                _solve(goal, result, skeleton, softness, turns, moves)
+            result = displace(
+                result,
+                {j: c.fitted(motion.frame_count, ease) for j, c in turns.items()},
+                {j: c.fitted(motion.frame_count, ease) for j, c in moves.items()},
+            )
+            if all(float(_errors(g, result, skeleton).max()) <= 0.01 * REACHED_M for g in stage):
+                break
+        done += len(stage)
+        if progress is not None:
+            progress(done, len(goals))
+    errors = tuple(_errors(g, result, skeleton) for g in goals)
+    return ReachResult(result, errors, all(float(e.max()) <= REACHED_M for e in errors), changed_frames(motion, result))
+
+
+def joint_of(skeleton: Skeleton, name: str, roles: Mapping[str, int]) -> int:
+    """The joint of a name, else the one that plays a role of that name; raises `UnknownName`."""
+    if name in skeleton.names:
+        return skeleton.names.index(name)
+    if name in roles:
+        return roles[name]
+    raise UnknownName("joint or role", name, (*skeleton.names, *roles))
+
+
+def changed_frames(before: Motion, after: Motion) -> np.ndarray:
+    """The frames (T,) in which two motions of one length differ in any bit of their joints."""
+    a, b = before.pose.broadcast(), after.pose.broadcast()
+    differs = np.zeros(before.frame_count, bool)
+    for one, other in ((a.rotations, b.rotations), (a.translations, b.translations), (a.scales, b.scales)):
+        differs |= np.any(one != other, axis=(-1, -2))
+    return differs
+
+
+def found_roles(skeleton: Skeleton) -> Mapping[str, int]:
+    """The roles of a skeleton's joints, empty where it is no humanoid."""
+    from keypose.analysis import find_roles
+
+    found = find_roles(skeleton)
+    return found.roles if found.is_humanoid else {}
+
+
+def _roles(skeleton: Skeleton, roles: Mapping[str, int] | None) -> Mapping[str, int]:
+    return found_roles(skeleton) if roles is None else roles
+
+
+def _goal(wanted: Reach, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> _Goal:
+    joint = joint_of(skeleton, wanted.joint, roles)
+    if wanted.last >= motion.frame_count:
+        raise ShapeError(f"{wanted.joint}: expected frames up to {motion.frame_count - 1}, got {wanted.last}")
+    checked(motion.pose.rotations, (..., skeleton.joint_count, 4), "rotations", "the skeleton")
+    if wanted.target is not None:
+        targets = wanted.target
+    else:
+        targets = _places(motion, skeleton, wanted.frames)[1][:, joint] + wanted.offset
+    limb = limb_above(skeleton, joint, roles)
+    keep = wanted.keep_rotation
+    if keep is None:
+        # A foot lies on the ground; what is carried needs a hand that does not turn below it.
+        legs = (roles.get("left_foot"), roles.get("right_foot"))
+        keep = limb is not None and (limb.end in legs or limb.end != joint)
+    return _Goal(wanted, joint, targets, limb, keep)
+
+
+def _refuse_conflicts(goals: Sequence[_Goal], skeleton: Skeleton) -> None:
+    for n, one in enumerate(goals):
+        for other in goals[:n]:
+            same = one.joint == other.joint or (one.limb is not None and one.limb == other.limb)
+            if same and one.reach.first <= other.reach.last and other.reach.first <= one.reach.last:
+                raise ShapeError(
+                    f"'{skeleton.names[one.joint]}' is wanted twice between frames "
+                    f"{max(one.reach.first, other.reach.first)} and {min(one.reach.last, other.reach.last)}"
+                )
+
+
+def _stages(goals: Sequence[_Goal], skeleton: Skeleton) -> list[list[_Goal]]:
+    """Goals in the order in which they are met: roots, chains from the trunk outwards, limbs (from the trunk outwards)."""
+    depths = skeleton.depths()
+
+    def rank(goal: _Goal) -> tuple[int, int]:
+        if goal.limb is not None:
+            return 1, int(depths[goal.limb.upper])
+        return 0, int(depths[goal.joint])
+
+    stages: dict[tuple[int, int], list[_Goal]] = {}
+    for goal in goals:
+        stages.setdefault(rank(goal), []).append(goal)
+    return [stages[r] for r in sorted(stages)]
+
+
+def _solve(
+    goal: _Goal,
+    motion: Motion,
+    skeleton: Skeleton,
+    softness: float,
+    turns: dict[int, _Changes],
+    moves: dict[int, _Changes],
+) -> None:
+    """Add what the joints have to change for a goal in its frames."""
+    frames = goal.reach.frames
+    pose = motion.pose[goal.reach.first : goal.reach.last + 1]
+    local = np.asarray(pose.rotations, np.float64)
+    if goal.limb is not None:
+        solved = bend_limb(
+            skeleton,
+            pose,
+            goal.limb,
+            goal.targets,
+            bend=bend_direction(motion, skeleton, goal.limb),
+            rotations=goal.reach.rotation,
+            carried=goal.joint,
+            follow=not goal.keep_rotation,
+            softness=softness,
+        )
+        for n, joint in enumerate((goal.limb.upper, goal.limb.lower, goal.limb.end)):
+            turns.setdefault(joint, _Changes()).add(frames, rotation_change(local[:, joint], solved.rotations[:, n]))
+        return
+    turned, places = _places(motion, skeleton, frames)
+    parent = int(skeleton.parents[goal.joint])
+    if parent < 0 or int(skeleton.parents[parent]) < 0:
+        # A root, or what hangs right on one, moves the root.
+        root = goal.joint if parent < 0 else parent
+        moves.setdefault(root, _Changes()).add(frames, goal.targets - places[:, goal.joint])
+    else:
+        chain = _chain(skeleton, goal.joint)
+        solved = solve_ccd(skeleton, pose, chain, goal.targets, tolerance_m=1e-6, damping_rad=0.1, iterations=400)
+        new = np.asarray(solved.pose.rotations, np.float64)
+        for joint in chain[:-1]:
+            turns.setdefault(joint, _Changes()).add(frames, rotation_change(local[:, joint], new[:, joint]))
+        turned = np.asarray(world_rotations_positions(skeleton, solved.pose)[0], np.float64)
+    if goal.reach.rotation is not None:
+        above = (
+            goal.reach.rotation if parent < 0 else quat.multiply(quat.conjugate(turned[:, parent]), goal.reach.rotation)
+        )
+        turns.setdefault(goal.joint, _Changes()).add(frames, rotation_change(local[:, goal.joint], above))
+
+
+def _chain(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
+    """The joints from right below the root down to one."""
+    top = joint
+    while int(skeleton.parents[int(skeleton.parents[top])]) >= 0:
+        top = int(skeleton.parents[top])
+    return chain_between(skeleton, top, joint)
+
+
+def _places(motion: Motion, skeleton: Skeleton, frames: Ints) -> tuple[Floats, Floats]:
+    turned, places = world_rotations_positions(skeleton, motion.pose[int(frames[0]) : int(frames[-1]) + 1])
+    return np.asarray(turned, np.float64), np.asarray(places, np.float64)
+
+
+def _errors(goal: _Goal, motion: Motion, skeleton: Skeleton) -> Floats:
+    places: Array = _places(motion, skeleton, goal.reach.frames)[1]
+    return np.linalg.norm(places[:, goal.joint] - goal.targets, axis=-1)
