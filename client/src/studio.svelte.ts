@@ -2,14 +2,16 @@
 
 import { SvelteMap } from "svelte/reactivity";
 import type { Animation } from "./anim/animation";
+import type { Clock } from "./anim/clock";
 import { sameRest } from "./anim/matching";
-import { LOOP_MODES, SPEEDS, type LoopMode } from "./anim/clock";
+import type { Rig } from "./anim/rig";
 import type { Envelope, GraphEntry, SceneEntry, ServerMessage } from "./generated/messages";
 import { PROTOCOL } from "./generated/messages";
 import { History } from "./history.svelte";
 import { Connection } from "./net/connection";
 import { save } from "./net/download";
 import type { Blobs, Container } from "./net/container";
+import { Player } from "./player.svelte";
 import { loadScene, type OpenFile } from "./scene";
 import type { Actor } from "./view/actor";
 import type { GhostSettings } from "./view/ghosts";
@@ -36,7 +38,7 @@ export type Page = (typeof PAGES)[number];
 const OFFERED = 0.3;
 const APPLIED = 0.8;
 
-export class Studio {
+export class Studio extends Player {
   files = $state.raw<OpenFile[]>([]);
   /** What the project of the edit page is made of. */
   cast = $state.raw<OpenFile[]>([]);
@@ -45,23 +47,12 @@ export class Studio {
   /** Actor id -> animation id. */
   performing = $state.raw<Readonly<Record<string, string | null>>>({});
 
-  time = $state(0);
-  playing = $state(false);
-  mode = $state<LoopMode>("loop");
-  speed = $state(1);
-  start = $state(0);
-  end = $state(0);
-
   display = $state<Display>({ bones: false, axes: false, weights: false, ghosts: false, grid: true, shadows: true, follow: false });
   ghosts = $state<GhostSettings>({ before: 3, after: 3, step: 4 });
-  selected = $state(-1);
   hovered = $state(-1);
   theme = $state<Theme>("dark");
   stats = $state(false);
   help = $state(false);
-  readout = $state<"frames" | "seconds" | "timecode">("frames");
-  /** Rises when the pose changed; at most ten times a second while playing. */
-  revision = $state(0);
   /** Rises when a morph was set by hand. */
   morphRevision = $state(0);
 
@@ -86,8 +77,6 @@ export class Studio {
   private known = new Set<string>();
   private toastCount = 0;
   private revised = 0;
-  /** Called with the time in every frame that changed; the timeline draws itself. */
-  readonly frameListeners = new Set<() => void>();
 
   actors = $derived((this.page === "edit" ? this.cast : this.files).flatMap((file) => file.actors));
   animations = $derived(this.files.flatMap((file) => file.animations));
@@ -128,6 +117,18 @@ export class Studio {
   }
 
   // ---- files -------------------------------------------------------------------------------------------------------
+
+  protected clock(): Clock {
+    return this.view.clock;
+  }
+
+  protected reposed(): void {
+    this.view.invalidatePose();
+  }
+
+  rig(): Rig | null {
+    return this.active?.rig ?? null;
+  }
 
   private receive(message: ServerMessage, container: Container<Envelope>): void {
     for (const listener of this.messageListeners) listener(message, container);
@@ -379,97 +380,6 @@ export class Studio {
     this.hidden = hidden;
     actor.setVisible(!hidden.has(actor.id));
     this.view.applyDisplay();
-  }
-
-  // ---- time --------------------------------------------------------------------------------------------------------
-
-  get rate(): number {
-    return this.animation?.rate ?? 30;
-  }
-
-  play(): void {
-    if (!this.animation) return;
-    this.view.clock.play();
-    this.playing = true;
-  }
-
-  pause(): void {
-    this.view.clock.playing = this.playing = false;
-    this.revision++;
-  }
-
-  toggle(): void {
-    if (this.playing) this.pause();
-    else this.play();
-  }
-
-  seek(time: number): void {
-    const { clock } = this.view;
-    clock.time = Math.max(clock.start, Math.min(clock.end, time));
-    this.time = clock.time;
-    this.view.invalidatePose();
-  }
-
-  /** Go to a whole frame, counted from the start of the animation. */
-  seekFrame(frame: number): void {
-    this.seek((this.animation?.start ?? 0) + frame / this.rate);
-  }
-
-  step(frames: number): void {
-    this.pause();
-    const frame = (this.view.clock.time - (this.animation?.start ?? 0)) * this.rate;
-    // from between two frames, a step goes to the next whole one
-    this.seekFrame(frames > 0 ? Math.floor(frame + 1e-6) + frames : Math.ceil(frame - 1e-6) + frames);
-  }
-
-  toStart(): void {
-    this.seek(this.start);
-  }
-
-  toEnd(): void {
-    this.seek(this.end);
-  }
-
-  /** To the neighbouring key of the selected joint, or of any. */
-  seekKey(direction: number): void {
-    const { animation, active } = this;
-    if (!animation || !active) return;
-    this.pause();
-    const times = animation.keyTimes(active.rig, this.selected >= 0 ? this.selected : null);
-    const now = this.view.clock.time;
-    const next = direction > 0 ? times.find((t) => t > now + 1e-6) : times.findLast((t) => t < now - 1e-6);
-    if (next !== undefined) this.seek(next);
-  }
-
-  setRange(start: number, end: number): void {
-    const low = this.animation?.start ?? 0, high = this.animation?.end ?? 0;
-    const shortest = Math.min(high - low, 1 / this.rate);
-    this.start = Math.max(low, Math.min(start, high - shortest));
-    this.end = Math.min(high, Math.max(end, this.start + shortest));
-    this.view.clock.setRange(this.start, this.end);
-    this.view.invalidatePose();
-  }
-
-  resetRange(): void {
-    this.setRange(this.animation?.start ?? 0, this.animation?.end ?? 0);
-  }
-
-  setSpeed(speed: number): void {
-    this.speed = Math.max(0.1, Math.min(4, Math.round(speed * 100) / 100));
-    this.view.clock.speed = this.speed;
-  }
-
-  stepSpeed(direction: number): void {
-    const next = direction > 0 ? SPEEDS.find((s) => s > this.speed) : SPEEDS.findLast((s) => s < this.speed);
-    if (next !== undefined) this.setSpeed(next);
-  }
-
-  setMode(mode: LoopMode): void {
-    this.mode = this.view.clock.mode = mode;
-  }
-
-  cycleMode(): void {
-    this.setMode(LOOP_MODES[(LOOP_MODES.indexOf(this.mode) + 1) % LOOP_MODES.length]);
   }
 
   // ---- looking -----------------------------------------------------------------------------------------------------

@@ -15,7 +15,14 @@ export interface TimelineColors {
   mono: string;
 }
 
+/** Spans of time under the ruler, each [from, to, color, which half: 0 both, 1 upper, 2 lower]. */
+export interface Lane {
+  label: string;
+  spans: readonly (readonly [number, number, string, 0 | 1 | 2])[];
+}
+
 export interface TimelineState {
+  lanes: readonly Lane[];
   animation: Animation | null;
   rig: Rig | null;
   joint: number | null;
@@ -48,7 +55,8 @@ export function drawTimeline(canvas: HTMLCanvasElement, width: number, height: n
   }
   range(context, height, colors, state);
   ruler(context, width, height, colors, animation, state);
-  keys(context, height, colors, animation, state);
+  if (state.lanes.length > 0) lanesOf(context, width, height, colors, state);
+  else keys(context, height, colors, animation, state);
   playhead(context, height, colors, animation, state);
 }
 
@@ -115,6 +123,24 @@ function keys(c: CanvasRenderingContext2D, height: number, colors: TimelineColor
     }
     last = x;
   }
+}
+
+function lanesOf(c: CanvasRenderingContext2D, width: number, height: number, colors: TimelineColors, { lanes, toX }: TimelineState): void {
+  const top = RULER + 5, each = (height - top - 4) / lanes.length;
+  c.textAlign = "left";
+  lanes.forEach(({ label, spans }, n) => {
+    const y = top + n * each, tall = each - 2;
+    c.fillStyle = colors.raised;
+    c.fillRect(0, y, width, tall);
+    for (const [from, to, color, half] of spans) {
+      c.fillStyle = color;
+      c.beginPath();
+      c.roundRect(toX(from), half === 2 ? y + tall / 2 : y, Math.max(2, toX(to) - toX(from)), half === 0 ? tall : tall / 2, 1.5);
+      c.fill();
+    }
+    c.fillStyle = colors.faint;
+    c.fillText(label, 3, y + tall / 2 + 0.5);
+  });
 }
 
 function playhead(c: CanvasRenderingContext2D, height: number, colors: TimelineColors, animation: Animation, { time, toX }: TimelineState): void {

@@ -38,7 +38,6 @@ export interface FrameStats {
 const SAMPLES = 120;
 
 export class Viewport {
-  readonly clock = new Clock();
   readonly orbit: OrbitCamera;
   readonly actors: Actor[] = [];
   active: Actor | null = null;
@@ -75,7 +74,8 @@ export class Viewport {
   private readonly point = new THREE.Vector3();
   private handle = 0;
 
-  constructor(readonly canvas: HTMLCanvasElement) {
+  /** `leads`: whether it moves the clock on; of several views that share one, one does. */
+  constructor(readonly canvas: HTMLCanvasElement, readonly clock: Clock = new Clock(), private readonly leads = true) {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
@@ -298,7 +298,7 @@ export class Viewport {
     this.last = now;
     const { clock } = this;
     let moved = false;
-    if (clock.playing) {
+    if (clock.playing && this.leads) {
       const before = clock.time;
       const goes = clock.advance(elapsed);
       moved = clock.time !== before;
