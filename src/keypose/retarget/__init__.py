@@ -1,16 +1,19 @@
 """Retargeting: any humanoid's motion on any humanoid, feet planted."""
 
 from keypose.retarget.body import BodyFrames, body_frames
+from keypose.retarget.reference import ReferenceReport, compare_with_reference
 from keypose.retarget.report import RetargetReport, compare_motions
 from keypose.retarget.stand import find_stand
 from keypose.retarget.transfer import RetargetResult, retarget
 
 __all__ = [
     "BodyFrames",
+    "ReferenceReport",
     "RetargetReport",
     "RetargetResult",
     "body_frames",
     "compare_motions",
+    "compare_with_reference",
     "find_stand",
     "retarget",
 ]

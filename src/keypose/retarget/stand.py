@@ -122,6 +122,8 @@ def _mean_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion) ->
     mean = quat.average(np.moveaxis(quat.multiply(unturn, turned[chosen]), 0, -2))
     stand = _Standing(skeleton, pose, int(chosen[0]) * step, mean)
     ankle, toes = standing_feet(places, roles)
+    # Who runs leans forward, and holds the head against it; the head keeps its gaze.
+    stand.point(roles["hips"], roles.get("neck", roles["head"]), _UP, keep=roles["head"])
     for side in SIDES:
         upper, lower, foot = (roles.get(f"{side}_{part}") for part in ("upper_leg", "lower_leg", "foot"))
         if upper is not None and lower is not None and foot is not None:
@@ -168,12 +170,15 @@ class _Standing:
         self.rotations[joints] = quat.multiply(turn, self.rotations[joints])
         self.place()
 
-    def point(self, joint: int, end: int, direction: Floats) -> None:
-        """Turn a bone, and all that hangs on it, into a direction by the shortest way."""
+    def point(self, joint: int, end: int, direction: Floats, keep: int | None = None) -> None:
+        """Turn a bone, and all that hangs on it down to ``keep``, into a direction by the shortest way."""
         bone = self.places[end] - self.places[joint]
         length, asked = float(np.linalg.norm(bone)), float(np.linalg.norm(direction))
         if length > 1e-9 and asked > 1e-9:
-            self.turn(joint, quat.from_two_vectors(bone / length, direction / asked))
+            turn = quat.from_two_vectors(bone / length, direction / asked)
+            self.turn(joint, turn)
+            if keep is not None:
+                self.turn(keep, quat.conjugate(turn))
 
     def slope(self, foot: int, toes: int, rise: float) -> None:
         """Pitch a foot so that its toe joint is ``rise`` metres over its ankle."""

@@ -30,12 +30,16 @@ _HIPS_FOLLOW_S = 0.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RetargetResult:
-    """The motion on the target, how well it fits, and what was guessed."""
+    """The motion on the target, how well it fits, and what was guessed.
+
+    ``touching``: point of a foot (``left_heel``, ``left_ball`` ...) -> (T,) bool, when it touches the ground in the source.
+    """
 
     motion: Motion
     report: RetargetReport
     source: BodyFrames
     target: BodyFrames
+    touching: Mapping[str, np.ndarray]
     notes: tuple[str, ...] = ()
 
 
@@ -120,7 +124,7 @@ def retarget(
             result, target, other.roles, touching=touching, heights=other.places[:, 1], options=plant
         ).motion
     report = compare_motions(motion, own, result, other, plant or PlantOptions())
-    return RetargetResult(result, report, own, other, tuple(notes))
+    return RetargetResult(result, report, own, other, touching, tuple(notes))
 
 
 def _as_motion(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | None) -> Motion:
