@@ -1,7 +1,7 @@
 """Inverse kinematics: closed-form limbs, chains (CCD, FABRIK), limits of joints."""
 
 from keypose.ik.chains import ChainResult, chain_between, solve_ccd, solve_fabrik
-from keypose.ik.limb import LimbResult, limb_rotations, rotation_between_frames, solve_limb
+from keypose.ik.limb import LimbResult, LimbTurns, limb_rotations, rotation_between_frames, solve_limb, solve_limbs
 from keypose.ik.limits import (
     Cone,
     EulerRange,
@@ -21,6 +21,7 @@ __all__ = [
     "Hinge",
     "JointLimit",
     "LimbResult",
+    "LimbTurns",
     "LimitBreak",
     "chain_between",
     "clamp_pose",
@@ -32,4 +33,5 @@ __all__ = [
     "solve_ccd",
     "solve_fabrik",
     "solve_limb",
+    "solve_limbs",
 ]
