@@ -73,6 +73,8 @@ _PATTERNS = tuple((part, re.compile(pattern)) for part, pattern in _PARTS)
 _PREFIX = re.compile(
     r"^(?:mixamorig\d*|ccbase|rlbone|bip\d*|biped\d*|valve|def|org|mch|jbip|bone|b|jnt|joint)(?=[a-z])"
 )
+# Further chains of a map made by hand: 'tail:1', 'left_ear:2'.
+_FURTHER = re.compile(r"[a-z][a-z0-9_]*:[0-9]+")
 _FINGER_WORDS = {
     "thumb": r"thumb", "index": r"index|fore(?!arm)", "middle": r"middle|mid",
     "ring": r"ring(?!pinky)", "little": r"pinky|pinkie|little|small",
@@ -110,6 +112,8 @@ class RoleMap:
 def roles_from_json(text: str, skeleton: Skeleton) -> RoleMap:
     """A saved map for a skeleton.
 
+    Beside the roles of a humanoid it may name joints of further chains, such as ``tail:1``, ``tail:2``.
+
     Raises:
         ShapeError: where the text is no object of names.
         UnknownName: for a role or joint that does not exist, with the nearest.
@@ -124,7 +128,7 @@ def roles_from_json(text: str, skeleton: Skeleton) -> RoleMap:
     joints = {name: j for j, name in enumerate(skeleton.names)}
     found: dict[str, int] = {}
     for role, name in named.items():
-        if role not in ROLES:
+        if role not in ROLES and not _FURTHER.fullmatch(str(role)):
             raise UnknownName("role", str(role), ROLES)
         if name not in joints:
             raise UnknownName("joint", str(name), skeleton.names)
@@ -144,6 +148,18 @@ def find_roles(skeleton: Skeleton, pose: Pose | None = None, known: Mapping[str,
     Source: VRM 1.0 specification, humanoid bones (names of roles and which are required).
     """
     return _Finder(skeleton, pose, dict(known or {})).found()
+
+
+def stands_on_all_fours(places: Floats, roles: Mapping[str, int]) -> bool:
+    """Whether hands stand on the ground like feet and the back is level, at joints' places (J, 3) in metres."""
+    needed = ["hips", "head", *(f"{side}_{end}" for side in SIDES for end in ("hand", "foot"))]
+    if any(role not in roles for role in needed):
+        return False
+    height = {role: float(places[roles[role], 1]) for role in needed}
+    ground = min(height["left_foot"], height["right_foot"])
+    stands = all(height[f"{s}_hand"] - ground < 0.3 * (height["hips"] - ground) for s in SIDES)
+    back = places[roles.get("upper_chest", roles.get("chest", roles["head"]))] - places[roles["hips"]]
+    return stands and float(np.hypot(back[0], back[2])) > abs(float(back[1]))
 
 
 class _Finder:
@@ -181,7 +197,7 @@ class _Finder:
         settled = {
             role: self.settled(self.roles[role]) if role not in self.known else self.roles[role] for role in order
         }
-        four = self.on_all_fours(settled)
+        four = stands_on_all_fours(self.places, settled)
         if four:
             self.notes.append("the hands stand on the ground and the back is level: a quadruped")
         return RoleMap(settled, {r: self.sure[r] for r in order}, tuple(self.notes), four)
@@ -197,16 +213,6 @@ class _Finder:
             if same and self.near(child, joint, 1e-3):
                 return self.settled(child)
         return joint
-
-    def on_all_fours(self, roles: Mapping[str, int]) -> bool:
-        needed = [f"{side}_{end}" for side in SIDES for end in ("hand", "foot")]
-        if "hips" not in roles or "head" not in roles or any(n not in roles for n in needed):
-            return False
-        height = {role: float(self.places[joint, 1]) for role, joint in roles.items()}
-        ground = min(height["left_foot"], height["right_foot"])
-        stands = all(height[f"{s}_hand"] - ground < 0.3 * (height["hips"] - ground) for s in SIDES)
-        back = self.places[roles.get("upper_chest", roles.get("chest", roles["head"]))] - self.places[roles["hips"]]
-        return stands and float(np.hypot(back[0], back[2])) > abs(float(back[1]))
 
     # ---- ends --------------------------------------------------------------------------------------------------------
 

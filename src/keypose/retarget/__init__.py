@@ -1,6 +1,7 @@
 """Retargeting: any humanoid's motion on any humanoid, feet planted."""
 
 from keypose.retarget.body import BodyFrames, body_frames
+from keypose.retarget.hands import HandOptions, Prop
 from keypose.retarget.reference import ReferenceReport, compare_with_reference
 from keypose.retarget.report import RetargetReport, compare_motions
 from keypose.retarget.stand import find_stand
@@ -8,6 +9,8 @@ from keypose.retarget.transfer import RetargetResult, retarget
 
 __all__ = [
     "BodyFrames",
+    "HandOptions",
+    "Prop",
     "ReferenceReport",
     "RetargetReport",
     "RetargetResult",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.roles import FINGERS, SIDES, RoleMap, find_roles
+from keypose.analysis.roles import FINGERS, SIDES, RoleMap, find_roles, stands_on_all_fours
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError
 from keypose.evaluate import world_rotations_positions
@@ -36,6 +36,7 @@ class BodyFrames:
         rotations, places: (J, 4) and (J, 3) metres: model_from_joint in the reference pose.
         joint_from_frame: role -> (4,): the anatomical frame in the joint's own axes.
         facing: (4,) the body's own frame: +X to its left, +Y up, +Z forward.
+        on_all_fours: whether it stands on four feet in the reference pose.
         leg_m: length of thigh and shin; ankle_m: height of the ankle over the ground of the reference pose; ground_m: that ground.
     """
 
@@ -48,6 +49,7 @@ class BodyFrames:
     leg_m: float
     ankle_m: float
     ground_m: float
+    on_all_fours: bool = False
 
     def joints(self, *roles: str) -> list[int]:
         """The joints of those roles that the body has."""
@@ -86,9 +88,10 @@ def body_frames(
         for a in world_rotations_positions(skeleton, skeleton.rest if reference is None else reference)
     )
     facing = _facing(known, places)
+    four = stands_on_all_fours(places, known)
     frames: dict[str, Floats] = {}
     for role, joint in known.items():
-        frame = _frame(role, shown, places, facing)
+        frame = _frame(role, shown, places, facing, four)
         frames[role] = quat.multiply(quat.conjugate(rotations[joint]), frame)
     lengths: list[float] = []
     for side in SIDES:
@@ -99,7 +102,9 @@ def body_frames(
     feet = [known[r] for r in ("left_foot", "right_foot", "left_toes", "right_toes") if r in known]
     ankle = float(np.mean([places[known[f"{side}_foot"], 1] for side in SIDES]))
     low = float(min(places[j, 1] for j in feet)) if ground_m is None else ground_m
-    return BodyFrames(skeleton, known, rotations, places, frames, facing, float(np.mean(lengths)), ankle - low, low)
+    return BodyFrames(
+        skeleton, known, rotations, places, frames, facing, float(np.mean(lengths)), ankle - low, low, four
+    )
 
 
 def _facing(roles: Mapping[str, int], places: Floats) -> Floats:
@@ -112,17 +117,17 @@ def _facing(roles: Mapping[str, int], places: Floats) -> Floats:
     return quat.from_axes(left, _UP, np.cross(left, _UP))
 
 
-def _frame(role: str, roles: Mapping[str, int], places: Floats, facing: Floats) -> Floats:
+def _frame(role: str, roles: Mapping[str, int], places: Floats, facing: Floats, four: bool) -> Floats:
     """model_from_frame of a role in the reference pose."""
     side, _, part = role.partition("_")
     if side not in SIDES:
         return facing
-    if part in ("foot", "toes"):
+    if part in ("foot", "toes") and not four:
         return _heading(side, roles, places, facing)
     along = _bone(side, part, roles, places)
     if along is None or float(np.linalg.norm(along)) < 1e-9:
         return facing
-    straight = np.array([0.0, -1.0, 0.0]) if "leg" in part else np.array([1.0 if side == "left" else -1.0, 0.0, 0.0])
+    straight = -_UP if four or "leg" in part else np.array([1.0 if side == "left" else -1.0, 0.0, 0.0])
     out = quat.rotate(facing, straight)
     return quat.multiply(quat.from_two_vectors(out, along / np.linalg.norm(along)), facing)
 
@@ -135,6 +140,9 @@ def _bone(side: str, part: str, roles: Mapping[str, int], places: Floats) -> Flo
     if part in _NEXT:
         following = roles.get(f"{side}_{_NEXT[part]}")
         return None if following is None else places[following] - places[own]
+    if part in ("foot", "toes"):  # of an animal that walks on its toes
+        foot, toes = roles.get(f"{side}_foot"), roles.get(f"{side}_toes")
+        return None if foot is None or toes is None else places[toes] - places[foot]
     if part == "hand":
         knuckles = [roles[f"{side}_{f}_proximal"] for f in FINGERS[1:] if f"{side}_{f}_proximal" in roles]
         if knuckles:

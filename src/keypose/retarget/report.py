@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.contacts import foot_contacts
 from keypose.analysis.quality import carried_speeds
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
@@ -14,6 +13,7 @@ from keypose.editing.planting import PlantOptions
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion
 from keypose.retarget.body import BodyFrames
+from keypose.retarget.footing import footings
 
 _LIMBS = (
     ("upper_arm", "lower_arm"), ("lower_arm", "hand"), ("upper_leg", "lower_leg"), ("lower_leg", "foot"), ("foot", "toes"),
@@ -31,7 +31,8 @@ class RetargetReport:
 
     Units: ``direction_deg`` bone -> mean angle between the two bones' directions in the model's space; ``mean_direction_deg`` over
     all bones; ``slide_cm_s`` mean and ``worst_slide_cm_s`` largest level speed of a foot's carrying point while it touches the
-    ground; ``sink_cm`` deepest place of a foot under the ground; ``source_slide_cm_s`` the same mean of the source.
+    ground; ``sink_cm`` deepest place of a foot under the ground; ``source_slide_cm_s`` the same mean of the source;
+    ``hands_off_cm`` mean distance of palms from the place beside body or prop that they should have (None where that was not asked).
     """
 
     direction_deg: dict[str, float]
@@ -41,6 +42,7 @@ class RetargetReport:
     source_slide_cm_s: float
     sink_cm: float
     contact_frames: int
+    hands_off_cm: float | None = None
 
     def lines(self) -> list[str]:
         """The figures as short lines for people."""
@@ -51,6 +53,11 @@ class RetargetReport:
             f"feet in contact slide {self.slide_cm_s:.2f} cm/s on average, {self.worst_slide_cm_s:.2f} at most "
             f"(source {self.source_slide_cm_s:.2f}), {self.contact_frames} frames",
             f"feet sink {self.sink_cm:.2f} cm at most",
+            *(
+                []
+                if self.hands_off_cm is None
+                else [f"hands beside body or props are {self.hands_off_cm:.2f} cm off on average"]
+            ),
         ]
 
 
@@ -64,17 +71,13 @@ def compare_motions(
     for low, high in _BONES:
         if all(role in body.roles for role in (low, high) for body in (own, other)):
             directions[low] = float(np.mean(_angles(_way(own, a, low, high), _way(other, b, low, high))))
-    touching = body_contacts(own, a, source.rate_hz, options)
-    speeds = carried_speeds(other.roles, b, touching, target.rate_hz)
-    theirs = carried_speeds(own.roles, a, touching, source.rate_hz)
-    frames = int(np.sum(np.any(list(touching.values()), axis=0))) if touching else 0
-    feet = [
-        (other.roles[r], other.places[other.roles[r], 1])
-        for s in SIDES
-        for r in (f"{s}_foot", f"{s}_toes")
-        if r in other.roles
-    ]
-    sink = max((float((rest - b[:, joint, 1]).max()) for joint, rest in feet), default=0.0)
+    feet = footings(own, other, a, source.rate_hz, options)
+    speeds = np.concatenate([carried_speeds(f.other, b, f.touching, target.rate_hz) for f in feet])
+    theirs = np.concatenate([carried_speeds(f.own, a, f.touching, source.rate_hz) for f in feet])
+    carried = [flags for f in feet for flags in f.touching.values()]
+    frames = int(np.sum(np.any(carried, axis=0))) if carried else 0
+    ends = {f.other[f"{s}_{r}"] for f in feet for s in SIDES for r in ("foot", "toes") if f"{s}_{r}" in f.other}
+    sink = max((float((other.places[j, 1] - b[:, j, 1]).max()) for j in ends), default=0.0)
     mean = float(np.mean(list(directions.values()))) if directions else 0.0
     return RetargetReport(
         directions,
@@ -84,13 +87,6 @@ def compare_motions(
         float(theirs.mean()) if len(theirs) else 0.0,
         max(0.0, 100.0 * sink),
         frames,
-    )
-
-
-def body_contacts(body: BodyFrames, places: Floats, rate_hz: float, options: PlantOptions) -> dict[str, np.ndarray]:
-    """When heels and balls of a body's feet touch the ground, by the limits of planting; see `foot_contacts`."""
-    return foot_contacts(
-        body.roles, places, rate_hz, body.leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s
     )
 
 

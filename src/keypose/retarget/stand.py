@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from keypose.analysis.roles import SIDES
+from keypose.analysis.roles import SIDES, stands_on_all_fours
 from keypose.arrays import Floats
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
@@ -30,7 +30,7 @@ def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | No
     """
     rest = skeleton.rest
     places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
-    if lean(places, roles) < _LEAN_LIMIT:
+    if lean(places, roles) < _LEAN_LIMIT or stands_on_all_fours(places, roles):
         return None, ""
     turn = _upright(places, roles)
     if turn is not None and lean(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles) < _LEAN_LIMIT:

@@ -1,0 +1,242 @@
+"""Hands that touch the body or a prop in the source do so on the target: places beside each other, kept by the arms.
+
+Bodies differ, so the directions of all bones bring a hand that lay on the hip beside it. What is kept here is where a hand is
+beside the nearest parts of the body, in their own frames and scaled like the body, the more the nearer it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from keypose.analysis.roles import SIDES
+from keypose.arrays import Floats
+from keypose.errors import ShapeError
+from keypose.evaluate import world_rotations_positions
+from keypose.ik import rotation_between_frames, solve_limb
+from keypose.math import quat
+from keypose.model import Pose
+from keypose.retarget.body import BodyFrames
+
+_LEG_M = 0.85  # the length of leg that limits in metres are meant for
+
+# Parts of a body that hands touch: role whose frame counts, and the role at the bone's other end.
+_TRUNK = (("hips", "neck"), ("neck", "head"))
+_LEGS = (("upper_leg", "lower_leg"), ("lower_leg", "foot"))
+_ARMS = (("upper_arm", "lower_arm"), ("lower_arm", "hand"))
+
+# A palm's middle lies this share of a forearm beyond the wrist where there are no fingers.
+_PALM = 0.35
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prop:
+    """A place that hands hold on to in the world: of the source, and, if it is another than scaled, of the target.
+
+    Shapes and units: ``source``, ``target`` (3,) or (T, 3) metres.
+    """
+
+    source: Floats
+    target: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandOptions:
+    """Which hands keep their place beside body and props.
+
+    Units: within ``near_m`` of the middle of a part of the body (its bone), the other palm or a prop, a palm keeps its place
+    beside it wholly, beyond ``far_m`` not at all; metres for a leg of 0.85 m, they grow with the leg.
+    """
+
+    near_m: float = 0.16
+    far_m: float = 0.32
+    softness: float = 0.01
+    props: Sequence[Prop] = ()
+
+    def __post_init__(self) -> None:
+        if not (0 < self.near_m < self.far_m and 0 <= self.softness < 0.2):
+            raise ShapeError("hand options: expected 0 < near_m < far_m and a softness from 0 to 0.2")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldHands:
+    """A pose with hands kept, and how far palms beside something are from where they should be (N,), metres."""
+
+    pose: Pose
+    off_m: Floats
+
+
+def keep_hands(
+    own: BodyFrames, turned: Floats, places: Floats, other: BodyFrames, pose: Pose, options: HandOptions, ratio: float
+) -> HeldHands:
+    """The target's pose (T) with hands beside body and props as in the source (T, J, 4), (T, J, 3).
+
+    ``ratio``: length on the target for a length on the source, of the way in the world.
+
+    Raises:
+        ShapeError: where a prop's place has another number of frames.
+
+    Source: after the relation of bodies by the places of their parts in each other's frames, as in Ho, Komura and Tai,
+    "Spatial relationship preserving character motion adaptation" (SIGGRAPH 2010); here in closed form for arms alone.
+    """
+    size = own.leg_m / _LEG_M
+    near, far = options.near_m * size, options.far_m * size
+    now, where = (np.asarray(a, np.float64) for a in world_rotations_positions(other.skeleton, pose))
+    sides = [
+        s for s in SIDES if all(f"{s}_{p}" in b.roles for p in ("upper_arm", "lower_arm", "hand") for b in (own, other))
+    ]
+    body = other.leg_m / own.leg_m
+    palms = {s: (_palm(own, s, turned, places), _palm(other, s, now, where)) for s in sides}
+    goals: dict[str, Floats] = {}
+    kept: dict[str, Floats] = {}
+    for side in sides:
+        palm, moved = palms[side]
+        pulls: list[tuple[Floats, Floats]] = []  # (weight (T,), way to go (T, 3))
+        for low, high in _parts(side, own, other):
+            goal, away = _beside(own, turned, places, other, now, where, low, high, palm, body)
+            pulls.append((_share(away, near, far), goal - moved))
+        for prop in options.props:
+            here, there = _prop(prop, len(places), ratio, own, other)
+            pulls.append(
+                (_share(np.linalg.norm(palm - here, axis=-1), near, far), there + body * (palm - here) - moved)
+            )
+        other_side = next((s for s in sides if s != side), None)
+        if other_side is not None:  # both go half the way to each other
+            beside, its = palms[other_side]
+            offset = quat.rotate(_between(own, other, turned, now), palm - beside) * body
+            pulls.append((_share(np.linalg.norm(palm - beside, axis=-1), near, far), 0.5 * (its + offset - moved)))
+        kept[side], goals[side] = _together(pulls)
+    rotations = np.array(np.asarray(pose.broadcast().rotations, np.float64))
+    off: list[Floats] = []
+    for side in sides:
+        missed = _reach(side, other, now, where, goals[side], rotations, options.softness)
+        off.append(missed[kept[side] > 0.9])
+    done = Pose(
+        pose.translations, quat.align_signs(rotations, axis=0).astype(np.result_type(pose.rotations)), pose.scales
+    )
+    return HeldHands(done, np.concatenate(off) if off else np.zeros(0))
+
+
+def _parts(side: str, own: BodyFrames, other: BodyFrames) -> list[tuple[str, str]]:
+    """Bones that a hand of a side may touch: all but those of its own arm."""
+    across = next(s for s in SIDES if s != side)
+    bones = [*_TRUNK, *((f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in _LEGS)]
+    bones += [(f"{across}_{a}", f"{across}_{b}") for a, b in _ARMS]
+    return [bone for bone in bones if all(role in body.roles for role in bone for body in (own, other))]
+
+
+def _palm(body: BodyFrames, side: str, turned: Floats, places: Floats) -> Floats:
+    """The middle of a palm (T, 3)."""
+    hand, arm = body.roles[f"{side}_hand"], body.roles[f"{side}_lower_arm"]
+    knuckles = [body.roles[r] for r in (f"{side}_index_proximal", f"{side}_little_proximal") if r in body.roles]
+    if knuckles:
+        out = 0.6 * (body.places[knuckles].mean(axis=0) - body.places[hand])
+    else:
+        out = _PALM * (body.places[hand] - body.places[arm])
+    local = quat.rotate(quat.conjugate(body.rotations[hand]), out)
+    return places[:, hand] + quat.rotate(turned[:, hand], np.broadcast_to(local, places[:, hand].shape))
+
+
+def _beside(
+    own: BodyFrames,
+    turned: Floats,
+    places: Floats,
+    other: BodyFrames,
+    now: Floats,
+    where: Floats,
+    low: str,
+    high: str,
+    palm: Floats,
+    body: float,
+) -> tuple[Floats, Floats]:
+    """Where a palm goes beside a bone (T, 3), and how far it is from that bone in the source (T,)."""
+    a, b = places[:, own.roles[low]], places[:, own.roles[high]]
+    bone = b - a
+    u = np.clip(np.sum((palm - a) * bone, axis=-1) / np.maximum(np.sum(bone * bone, axis=-1), 1e-12), 0.0, 1.0)[:, None]
+    out = palm - (a + u * bone)
+    c, d = where[:, other.roles[low]], where[:, other.roles[high]]
+    frame = quat.multiply(turned[:, own.roles[low]], own.joint_from_frame[low])
+    target = quat.multiply(now[:, other.roles[low]], other.joint_from_frame[low])
+    offset = quat.rotate(quat.multiply(target, quat.conjugate(frame)), out)
+    return c + u * (d - c) + body * offset, np.linalg.norm(out, axis=-1)
+
+
+def _between(own: BodyFrames, other: BodyFrames, turned: Floats, now: Floats) -> Floats:
+    """The turn from the source's chest to the target's (T, 4)."""
+    role = next((r for r in ("upper_chest", "chest", "spine", "hips") if r in own.roles and r in other.roles), "hips")
+    frame = quat.multiply(turned[:, own.roles[role]], own.joint_from_frame[role])
+    target = quat.multiply(now[:, other.roles[role]], other.joint_from_frame[role])
+    return quat.multiply(target, quat.conjugate(frame))
+
+
+def _prop(prop: Prop, frames: int, ratio: float, own: BodyFrames, other: BodyFrames) -> tuple[Floats, Floats]:
+    found: list[Floats] = []
+    for place in (prop.source, prop.target):
+        if place is not None:
+            array = np.asarray(place, np.float64)
+            if array.shape not in ((3,), (frames, 3)):
+                raise ShapeError(f"prop: expected a place (3,) or ({frames}, 3), got {array.shape}")
+            found.append(np.broadcast_to(array, (frames, 3)))
+    if len(found) == 1:
+        ground = np.array([0.0, other.ground_m - ratio * own.ground_m, 0.0])
+        found.append(ratio * found[0] + ground)
+    return found[0], found[1]
+
+
+def _share(away: Floats, near: float, far: float) -> Floats:
+    """1 when near, 0 when far, smooth in between (T,)."""
+    u = np.clip((far - away) / (far - near), 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+def _together(pulls: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """How much is kept at all (T,), and where all pulls together move a palm (T, 3); nearer parts count more."""
+    weights = np.stack([w for w, _ in pulls])
+    ways = np.stack([way for _, way in pulls])
+    strength = 1.0 - np.prod(1.0 - weights, axis=0)
+    parts = weights**2
+    mean = np.sum(parts[..., None] * ways, axis=0) / np.maximum(parts.sum(axis=0), 1e-12)[:, None]
+    return strength, strength[:, None] * mean
+
+
+def _reach(
+    side: str, body: BodyFrames, turned: Floats, places: Floats, way: Floats, rotations: Floats, softness: float
+) -> Floats:
+    """Turn an arm's joints (in ``rotations``) so that its hand moves by ``way``; returns the distance left (T,)."""
+    upper, lower, hand = (body.roles[f"{side}_{part}"] for part in ("upper_arm", "lower_arm", "hand"))
+    start, elbow, wrist = places[:, upper], places[:, lower], places[:, hand]
+    lengths = [float(np.linalg.norm(b - a, axis=-1).mean()) for a, b in ((start, elbow), (elbow, wrist))]
+    along = wrist - start
+    pole = (elbow - start) - along * (
+        np.sum((elbow - start) * along, axis=-1, keepdims=True)
+        / np.maximum(np.sum(along**2, axis=-1, keepdims=True), 1e-12)
+    )
+    straight = np.linalg.norm(pole, axis=-1, keepdims=True) < 0.01 * sum(lengths)
+    back = quat.rotate(turned[:, body.roles["hips"]], _backwards(body, places.shape[0]))
+    pole = np.where(straight, pole + 0.01 * sum(lengths) * back, pole)
+    solved = solve_limb(
+        start, wrist + way, pole, upper_m=lengths[0], lower_m=lengths[1], softness_m=softness * sum(lengths)
+    )
+    normal = np.cross(along, pole)
+    first = rotation_between_frames(elbow - start, normal, solved.middle - start, solved.normal)
+    second = rotation_between_frames(wrist - elbow, normal, solved.end - solved.middle, solved.normal)
+    still = np.linalg.norm(way, axis=-1) < 1e-9
+    for turn in (first, second):
+        turn[still] = (1.0, 0.0, 0.0, 0.0)
+    parents = body.skeleton.parents
+    above = turned[:, int(parents[upper])] if parents[upper] >= 0 else None
+    new = quat.multiply(first, turned[:, upper])
+    rotations[:, upper] = new if above is None else quat.multiply(quat.conjugate(above), new)
+    over_elbow = quat.multiply(first, turned[:, int(parents[lower])])
+    rotations[:, lower] = quat.multiply(quat.conjugate(over_elbow), quat.multiply(second, turned[:, lower]))
+    over_hand = quat.multiply(second, turned[:, int(parents[hand])])
+    rotations[:, hand] = quat.multiply(quat.conjugate(over_hand), turned[:, hand])
+    return np.where(still, 0.0, np.linalg.norm(wrist + way - solved.end, axis=-1))
+
+
+def _backwards(body: BodyFrames, frames: int) -> Floats:
+    """Where an elbow points, in the axes of the hips (T, 3)."""
+    back = quat.rotate(body.facing, np.array([0.0, 0.0, -1.0]))
+    return np.broadcast_to(quat.rotate(quat.conjugate(body.rotations[body.roles["hips"]]), back), (frames, 3))
