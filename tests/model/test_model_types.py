@@ -42,9 +42,12 @@ def rng() -> np.random.Generator:
 
 def test_the_public_names() -> None:
     assert sorted(model.__all__) == [
-        "Channel", "Character", "Clip", "Curve", "CurveKind", "Document", "EULER_ORDER", "Event", "Extrapolation", "ForcePlate", "Image",
-        "Interpolation", "Layer", "LayerMode", "Marker", "Markers", "Material", "Mesh", "MorphSet", "Motion", "Part", "Placement", "Pose", "Property", "ROTATION_ONLY", "Scene", "Signals", "Skeleton",
-        "Skin", "SkinningMethod", "StoredPose", "Tangent", "Tier", "Timeline",
+        "Attribute", "Channel", "Character", "Clip", "Constraint", "ConstraintKind", "Control", "ControlShape", "ControlSide",
+        "Curve", "CurveKind", "Document", "Driver", "EULER_ORDER", "Event", "Extrapolation", "EyesModule", "Finger",
+        "FingersModule", "FollowModule", "FootPivots", "ForcePlate", "HeadModule", "Image", "Interpolation", "Layer", "LayerMode",
+        "LimbModule", "Marker", "Markers", "Material", "Mesh", "Module", "MorphSet", "Motion", "Part", "Placement", "Pose",
+        "Property", "ROTATION_ONLY", "Rig", "Scene", "Signals", "Skeleton", "Skin", "SkinningMethod", "Space", "SpineModule",
+        "StoredPose", "Tangent", "Tier", "Timeline", "module_controls", "module_joints",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 
