@@ -1,5 +1,6 @@
-"""Inverse kinematics: closed-form limbs, chains (CCD, FABRIK), limits of joints."""
+"""Inverse kinematics: closed-form limbs, joints and chains that look at something, chains that reach (CCD, FABRIK), limits of joints."""
 
+from keypose.ik.aim import AimChainResult, AimResult, aim_chain, aim_joint
 from keypose.ik.chains import ChainResult, chain_between, solve_ccd, solve_fabrik
 from keypose.ik.limb import LimbResult, LimbTurns, limb_rotations, rotation_between_frames, solve_limb, solve_limbs
 from keypose.ik.limits import (
@@ -15,6 +16,8 @@ from keypose.ik.limits import (
 )
 
 __all__ = [
+    "AimChainResult",
+    "AimResult",
     "ChainResult",
     "Cone",
     "EulerRange",
@@ -23,6 +26,8 @@ __all__ = [
     "LimbResult",
     "LimbTurns",
     "LimitBreak",
+    "aim_chain",
+    "aim_joint",
     "chain_between",
     "clamp_pose",
     "clamp_rotation",

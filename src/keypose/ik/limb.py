@@ -251,17 +251,17 @@ def _reached(
     xp: Array, distance: Array, shortest: Array, reach: Array, softness: Array, max_stretch: float
 ) -> tuple[Array, Array]:
     """How long the limb is between its ends without stretch, and by what it is stretched."""
-    used = xp.minimum(xp.maximum(_softened(xp, distance, reach, softness), shortest), reach)
+    used = xp.minimum(xp.maximum(softened(xp, distance, reach, softness), shortest), reach)
     if max_stretch == 1:
         return used, xp.ones_like(used)
     short = (distance > used) & (used > 0)
     ratio = xp.where(short, distance / xp.where(short, used, xp.ones_like(used)), xp.ones_like(used))
     # The factor slows down by the same share of the length, or over all that it has.
     slow = xp.minimum(softness / xp.where(reach == 0, xp.ones_like(reach), reach), xp.full_like(reach, max_stretch - 1))
-    return used, xp.clip(_softened(xp, ratio, xp.full_like(ratio, max_stretch), slow), 1.0, max_stretch)
+    return used, xp.clip(softened(xp, ratio, xp.full_like(ratio, max_stretch), slow), 1.0, max_stretch)
 
 
-def _softened(xp: Array, value: Array, limit: Array, softness: Array) -> Array:
+def softened(xp: Array, value: Array, limit: Array, softness: Array) -> Array:
     """The value, bent from ``limit - softness`` on so that it nears the limit without end."""
     hard = limit - softness
     over = xp.clip(value - hard, 0.0, None)
