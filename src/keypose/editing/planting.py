@@ -107,7 +107,10 @@ def plant_feet(
     translations = np.array(np.asarray(pose.translations, np.float64))
     hips = roles["hips"]
     parent = int(skeleton.parents[hips])
-    translations[:, hips] += drop if parent < 0 else quat.rotate(quat.conjugate(turned[:, parent]), drop)
+    size, above = np.ones(3), parent
+    while above >= 0:  # what hangs under a joint of another scale goes another way
+        size, above = size * np.asarray(pose.scales, np.float64)[:, above], int(skeleton.parents[above])
+    translations[:, hips] += drop if parent < 0 else quat.rotate(quat.conjugate(turned[:, parent]), drop) / size
     dtype = pose.rotations.dtype
     planted = Pose(
         translations.astype(pose.translations.dtype), quat.align_signs(rotations, axis=0).astype(dtype), pose.scales
