@@ -1,6 +1,7 @@
 """Retargeting: any humanoid's motion on any humanoid, feet planted."""
 
 from keypose.retarget.body import BodyFrames, body_frames
+from keypose.retarget.character import bind_stand, ground_under
 from keypose.retarget.hands import HandOptions, Prop
 from keypose.retarget.reference import ReferenceReport, compare_with_reference
 from keypose.retarget.report import RetargetReport, compare_motions
@@ -14,9 +15,11 @@ __all__ = [
     "ReferenceReport",
     "RetargetReport",
     "RetargetResult",
+    "bind_stand",
     "body_frames",
     "compare_motions",
     "compare_with_reference",
     "find_stand",
+    "ground_under",
     "retarget",
 ]

@@ -22,10 +22,19 @@ from keypose.retarget.body import BodyFrames
 
 _LEG_M = 0.85  # the length of leg that limits in metres are meant for
 
-# Parts of a body that hands touch: role whose frame counts, and the role at the bone's other end.
-_TRUNK = (("hips", "neck"), ("neck", "head"))
+# Parts of a body that hands touch: the role whose frame counts and the role at the bone's other end.
+_TRUNK = ("hips", "neck")
 _LEGS = (("upper_leg", "lower_leg"), ("lower_leg", "foot"))
 _ARMS = (("upper_arm", "lower_arm"), ("lower_arm", "hand"))
+
+# How near a palm is to the middle of a part when it touches it, and from where on it has nothing to do with it (metres).
+_TOUCH = {
+    "trunk": (0.17, 0.24), "head": (0.15, 0.22), "leg": (0.10, 0.17), "arm": (0.07, 0.13), "palm": (0.08, 0.16),
+    "prop": (0.10, 0.20),
+}  # fmt: skip
+
+# So far goes a head above its joint, in metres of a body with a leg of 0.85 m.
+_HEAD_M = 0.16
 
 # A palm's middle lies this share of a forearm beyond the wrist where there are no fingers.
 _PALM = 0.35
@@ -46,18 +55,18 @@ class Prop:
 class HandOptions:
     """Which hands keep their place beside body and props.
 
-    Units: within ``near_m`` of the middle of a part of the body (its bone), the other palm or a prop, a palm keeps its place
-    beside it wholly, beyond ``far_m`` not at all; metres for a leg of 0.85 m, they grow with the leg.
+    Units: ``reach`` 1 for what counts as touching on a grown human (the palm's distance from the middle of trunk, head, legs,
+    the other arm and palm, or a prop; it grows with the leg), more for a wider berth; ``softness`` the share of an arm's
+    length over which it slows down before it is straight.
     """
 
-    near_m: float = 0.16
-    far_m: float = 0.32
+    reach: float = 1.0
     softness: float = 0.01
     props: Sequence[Prop] = ()
 
     def __post_init__(self) -> None:
-        if not (0 < self.near_m < self.far_m and 0 <= self.softness < 0.2):
-            raise ShapeError("hand options: expected 0 < near_m < far_m and a softness from 0 to 0.2")
+        if not (self.reach > 0 and np.isfinite(self.reach) and 0 <= self.softness < 0.2):
+            raise ShapeError("hand options: expected a reach of more than 0 and a softness from 0 to 0.2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +90,7 @@ def keep_hands(
     Source: after the relation of bodies by the places of their parts in each other's frames, as in Ho, Komura and Tai,
     "Spatial relationship preserving character motion adaptation" (SIGGRAPH 2010); here in closed form for arms alone.
     """
-    size = own.leg_m / _LEG_M
-    near, far = options.near_m * size, options.far_m * size
+    size = options.reach * own.leg_m / _LEG_M
     now, where = (np.asarray(a, np.float64) for a in world_rotations_positions(other.skeleton, pose))
     sides = [
         s for s in SIDES if all(f"{s}_{p}" in b.roles for p in ("upper_arm", "lower_arm", "hand") for b in (own, other))
@@ -94,19 +102,19 @@ def keep_hands(
     for side in sides:
         palm, moved = palms[side]
         pulls: list[tuple[Floats, Floats]] = []  # (weight (T,), way to go (T, 3))
-        for low, high in _parts(side, own, other):
+        for part, low, high in _parts(side, own, other):
             goal, away = _beside(own, turned, places, other, now, where, low, high, palm, body)
-            pulls.append((_share(away, near, far), goal - moved))
+            pulls.append((_share(away, part, size), goal - moved))
         for prop in options.props:
             here, there = _prop(prop, len(places), ratio, own, other)
             pulls.append(
-                (_share(np.linalg.norm(palm - here, axis=-1), near, far), there + body * (palm - here) - moved)
+                (_share(np.linalg.norm(palm - here, axis=-1), "prop", size), there + body * (palm - here) - moved)
             )
         other_side = next((s for s in sides if s != side), None)
         if other_side is not None:  # both go half the way to each other
             beside, its = palms[other_side]
             offset = quat.rotate(_between(own, other, turned, now), palm - beside) * body
-            pulls.append((_share(np.linalg.norm(palm - beside, axis=-1), near, far), 0.5 * (its + offset - moved)))
+            pulls.append((_share(np.linalg.norm(palm - beside, axis=-1), "palm", size), 0.5 * (its + offset - moved)))
         kept[side], goals[side] = _together(pulls)
     rotations = np.array(np.asarray(pose.broadcast().rotations, np.float64))
     off: list[Floats] = []
@@ -119,12 +127,13 @@ def keep_hands(
     return HeldHands(done, np.concatenate(off) if off else np.zeros(0))
 
 
-def _parts(side: str, own: BodyFrames, other: BodyFrames) -> list[tuple[str, str]]:
-    """Bones that a hand of a side may touch: all but those of its own arm."""
+def _parts(side: str, own: BodyFrames, other: BodyFrames) -> list[tuple[str, str, str]]:
+    """Bones that a hand of a side may touch: all but those of its own arm; of the head, which has no end, twice itself."""
     across = next(s for s in SIDES if s != side)
-    bones = [*_TRUNK, *((f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in _LEGS)]
-    bones += [(f"{across}_{a}", f"{across}_{b}") for a, b in _ARMS]
-    return [bone for bone in bones if all(role in body.roles for role in bone for body in (own, other))]
+    bones = [("trunk", *_TRUNK), ("head", "head", "head")]
+    bones += [("leg", f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in _LEGS]
+    bones += [("arm", f"{across}_{a}", f"{across}_{b}") for a, b in _ARMS]
+    return [bone for bone in bones if all(role in body.roles for role in bone[1:] for body in (own, other))]
 
 
 def _palm(body: BodyFrames, side: str, turned: Floats, places: Floats) -> Floats:
@@ -152,15 +161,24 @@ def _beside(
     body: float,
 ) -> tuple[Floats, Floats]:
     """Where a palm goes beside a bone (T, 3), and how far it is from that bone in the source (T,)."""
-    a, b = places[:, own.roles[low]], places[:, own.roles[high]]
+    frame = quat.multiply(turned[:, own.roles[low]], own.joint_from_frame[low])
+    target = quat.multiply(now[:, other.roles[low]], other.joint_from_frame[low])
+    (a, b), (c, d) = (
+        _ends(of, frames, at, low, high) for of, frames, at in ((own, frame, places), (other, target, where))
+    )
     bone = b - a
     u = np.clip(np.sum((palm - a) * bone, axis=-1) / np.maximum(np.sum(bone * bone, axis=-1), 1e-12), 0.0, 1.0)[:, None]
     out = palm - (a + u * bone)
-    c, d = where[:, other.roles[low]], where[:, other.roles[high]]
-    frame = quat.multiply(turned[:, own.roles[low]], own.joint_from_frame[low])
-    target = quat.multiply(now[:, other.roles[low]], other.joint_from_frame[low])
     offset = quat.rotate(quat.multiply(target, quat.conjugate(frame)), out)
     return c + u * (d - c) + body * offset, np.linalg.norm(out, axis=-1)
+
+
+def _ends(body: BodyFrames, frames: Floats, places: Floats, low: str, high: str) -> tuple[Floats, Floats]:
+    start, end = places[:, body.roles[low]], places[:, body.roles[high]]
+    if low == high:
+        up = np.array([0.0, _HEAD_M * body.leg_m / _LEG_M, 0.0])
+        end = start + quat.rotate(frames, np.broadcast_to(up, start.shape))
+    return start, end
 
 
 def _between(own: BodyFrames, other: BodyFrames, turned: Floats, now: Floats) -> Floats:
@@ -185,8 +203,9 @@ def _prop(prop: Prop, frames: int, ratio: float, own: BodyFrames, other: BodyFra
     return found[0], found[1]
 
 
-def _share(away: Floats, near: float, far: float) -> Floats:
-    """1 when near, 0 when far, smooth in between (T,)."""
+def _share(away: Floats, part: str, size: float) -> Floats:
+    """1 when a palm touches a part, 0 when it is far away, smooth in between (T,)."""
+    near, far = (size * limit for limit in _TOUCH[part])
     u = np.clip((far - away) / (far - near), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)
 

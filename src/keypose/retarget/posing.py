@@ -136,9 +136,22 @@ def as_pose(body: BodyFrames, model: Floats, path: Floats) -> Pose:
     if parent < 0:
         translations[:, hips] = path
     else:
-        above = body.places[parent]  # what lies above the hips stands as in the reference pose
-        scale = accumulated_scales(skeleton, np.asarray(rest.scales, np.float64))[parent]
-        translations[:, hips] = quat.rotate(quat.conjugate(model[:, parent]), path - above) / scale
+        above = _place(body, model, parent)  # what lies above the hips does not move
+        translations[:, hips] = (
+            quat.rotate(quat.conjugate(model[:, parent]), path - above)
+            / accumulated_scales(skeleton, np.asarray(rest.scales, np.float64))[parent]
+        )
     scales = np.broadcast_to(np.asarray(rest.scales, np.float64), (frames, *rest.scales.shape))
     dtype = np.result_type(rest.rotations)
     return Pose(translations.astype(dtype), rotations.astype(dtype), scales.astype(dtype))
+
+
+def _place(body: BodyFrames, model: Floats, joint: int) -> Floats:
+    """Where a joint is in the model's space (T, 3) with rest translations up to the root."""
+    parent, rest = int(body.skeleton.parents[joint]), body.skeleton.rest
+    offset = np.asarray(rest.translations, np.float64)[joint]
+    if parent < 0:
+        return np.broadcast_to(offset, (len(model), 3))
+    sizes = accumulated_scales(body.skeleton, np.asarray(rest.scales, np.float64))
+    way = np.broadcast_to(sizes[parent] * offset, (len(model), 3))
+    return _place(body, model, parent) + quat.rotate(model[:, parent], way)

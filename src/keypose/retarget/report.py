@@ -11,6 +11,7 @@ from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.editing.planting import PlantOptions
 from keypose.evaluate import world_rotations_positions
+from keypose.math import quat
 from keypose.model import Motion
 from keypose.retarget.body import BodyFrames
 from keypose.retarget.footing import footings
@@ -65,18 +66,25 @@ def compare_motions(
     source: Motion, own: BodyFrames, target: Motion, other: BodyFrames, options: PlantOptions
 ) -> RetargetReport:
     """The figures of two motions with the same frames."""
-    a = np.asarray(world_rotations_positions(own.skeleton, source.pose.broadcast())[1], np.float64)
-    b = np.asarray(world_rotations_positions(other.skeleton, target.pose.broadcast())[1], np.float64)
+    r, a = (np.asarray(x, np.float64) for x in world_rotations_positions(own.skeleton, source.pose.broadcast()))
+    s, b = (np.asarray(x, np.float64) for x in world_rotations_positions(other.skeleton, target.pose.broadcast()))
     directions: dict[str, float] = {}
     for low, high in _BONES:
         if all(role in body.roles for role in (low, high) for body in (own, other)):
-            directions[low] = float(np.mean(_angles(_way(own, a, low, high), _way(other, b, low, high))))
+            ways = (_way(body, *at, low, high) for body, at in ((own, (r, a)), (other, (s, b))))
+            directions[low] = float(np.mean(_angles(*ways)))
     feet = footings(own, other, a, source.rate_hz, options)
     speeds = np.concatenate([carried_speeds(f.other, b, f.touching, target.rate_hz) for f in feet])
     theirs = np.concatenate([carried_speeds(f.own, a, f.touching, source.rate_hz) for f in feet])
     carried = [flags for f in feet for flags in f.touching.values()]
     frames = int(np.sum(np.any(carried, axis=0))) if carried else 0
-    ends = {f.other[f"{s}_{r}"] for f in feet for s in SIDES for r in ("foot", "toes") if f"{s}_{r}" in f.other}
+    ends = {
+        f.other[f"{side}_{end}"]
+        for f in feet
+        for side in SIDES
+        for end in ("foot", "toes")
+        if f"{side}_{end}" in f.other
+    }
     sink = max((float((other.places[j, 1] - b[:, j, 1]).max()) for j in ends), default=0.0)
     mean = float(np.mean(list(directions.values()))) if directions else 0.0
     return RetargetReport(
@@ -90,7 +98,12 @@ def compare_motions(
     )
 
 
-def _way(body: BodyFrames, places: Floats, low: str, high: str) -> Floats:
+def _way(body: BodyFrames, turned: Floats, places: Floats, low: str, high: str) -> Floats:
+    """Where a bone points; a foot's own slope does not count, but how it is turned from where it stands level."""
+    if low.endswith("_foot") and not body.on_all_fours:
+        ahead = quat.rotate(body.joint_from_frame[low], np.array([0.0, 0.0, 1.0]))
+        joint = body.roles[low]
+        return quat.rotate(turned[:, joint], np.broadcast_to(ahead, places[:, joint].shape))
     return places[:, body.roles[high]] - places[:, body.roles[low]]
 
 

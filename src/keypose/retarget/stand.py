@@ -30,11 +30,11 @@ def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | No
     """
     rest = skeleton.rest
     places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
-    if lean(places, roles) < _LEAN_LIMIT or stands_on_all_fours(places, roles):
+    if is_stand(places, roles):
         return None, ""
-    turn = _upright(places, roles)
-    if turn is not None and lean(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles) < _LEAN_LIMIT:
-        return _turned(skeleton, turn), "the rest pose lies; it was turned upright"
+    upright = raised(skeleton, rest, roles)
+    if upright is not None:
+        return upright, "the rest pose lies; it was turned upright"
     if motion is None or motion.frame_count == 0:
         return None, "the rest pose is no upright stand; name a reference pose"
     pose, used = _mean_stand(skeleton, roles, motion)
@@ -78,14 +78,24 @@ def standing_feet(places: Floats, roles: Mapping[str, int]) -> tuple[float, floa
     return 0.0 if ankle is None else ankle, lowest("toes")
 
 
-def _turned(skeleton: Skeleton, turn: Floats) -> Pose:
-    """The rest pose turned as a whole."""
-    rest = skeleton.rest
-    translations, rotations = np.array(rest.translations, np.float64), np.array(rest.rotations, np.float64)
+def is_stand(places: Floats, roles: Mapping[str, int]) -> bool:
+    """Whether a body stands at joints' places (J, 3): upright on two feet, or on all fours."""
+    return bool(lean(places, roles) < _LEAN_LIMIT) or stands_on_all_fours(places, roles)
+
+
+def raised(skeleton: Skeleton, pose: Pose, roles: Mapping[str, int]) -> Pose | None:
+    """A pose turned as a whole so that it stands and looks along +Z; None where it is no stand even then."""
+    places = np.asarray(world_rotations_positions(skeleton, pose)[1], np.float64)
+    turn = _upright(places, roles)
+    if turn is None:
+        return None
+    if not is_stand(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles):
+        return None
+    translations, rotations = np.array(pose.translations, np.float64), np.array(pose.rotations, np.float64)
     for root in np.nonzero(skeleton.parents < 0)[0]:
         translations[root] = quat.rotate(turn, translations[root])
         rotations[root] = quat.multiply(turn, rotations[root])
-    return Pose(translations, rotations, rest.scales)
+    return Pose(translations, rotations, pose.scales)
 
 
 def _upright(places: Floats, roles: Mapping[str, int]) -> Floats | None:
