@@ -33,6 +33,11 @@ export class History {
     this.future = [];
   }
 
+  /** What it was about is gone. */
+  clear(): void {
+    this.past = this.future = [];
+  }
+
   undo(): string | null {
     const step = this.past.at(-1);
     if (!step) return null;

@@ -1,5 +1,6 @@
 // Keyboard shortcuts: one table for the handler and for the help panel.
 
+import type { Player } from "./player.svelte";
 import { studio } from "./studio.svelte";
 
 export interface Shortcut {
@@ -15,27 +16,35 @@ export interface WindowCommands {
   find: () => void;
 }
 
+/** Keys of the transport. */
+export function transportShortcuts(player: Player): Shortcut[] {
+  const play = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Play", run });
+  return [
+    play("Space", "Play or pause", () => player.toggle()),
+    play(",", "One frame back", () => player.step(-1)),
+    play(".", "One frame on", () => player.step(1)),
+    play("ArrowLeft", "One frame back (Shift: ten)", (e) => player.step(e.shiftKey ? -10 : -1)),
+    play("ArrowRight", "One frame on (Shift: ten)", (e) => player.step(e.shiftKey ? 10 : 1)),
+    play("Shift+,", "Previous key", () => player.seekKey(-1)),
+    play("Shift+.", "Next key", () => player.seekKey(1)),
+    play("Home", "To the start", () => player.toStart()),
+    play("End", "To the end", () => player.toEnd()),
+    play("[", "Range starts here", () => player.setRange(player.time, player.end)),
+    play("]", "Range ends here", () => player.setRange(player.start, player.time)),
+    play("\\", "Whole range", () => player.resetRange()),
+    play("L", "Loop, once, ping-pong", () => player.cycleMode()),
+    play("-", "Slower", () => player.stepSpeed(-1)),
+    play("=", "Faster", () => player.stepSpeed(1)),
+  ];
+}
+
 export function shortcuts(window: WindowCommands): Shortcut[] {
   const play = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Play", run });
   const look = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Look", run });
   const show = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Show", run });
   const win = (keys: string, does: string, run: Shortcut["run"]): Shortcut => ({ keys, does, group: "Window", run });
   return [
-    play("Space", "Play or pause", () => studio.toggle()),
-    play(",", "One frame back", () => studio.step(-1)),
-    play(".", "One frame on", () => studio.step(1)),
-    play("ArrowLeft", "One frame back (Shift: ten)", (e) => studio.step(e.shiftKey ? -10 : -1)),
-    play("ArrowRight", "One frame on (Shift: ten)", (e) => studio.step(e.shiftKey ? 10 : 1)),
-    play("Shift+,", "Previous key", () => studio.seekKey(-1)),
-    play("Shift+.", "Next key", () => studio.seekKey(1)),
-    play("Home", "To the start", () => studio.toStart()),
-    play("End", "To the end", () => studio.toEnd()),
-    play("[", "Range starts here", () => studio.setRange(studio.time, studio.end)),
-    play("]", "Range ends here", () => studio.setRange(studio.start, studio.time)),
-    play("\\", "Whole range", () => studio.resetRange()),
-    play("L", "Loop, once, ping-pong", () => studio.cycleMode()),
-    play("-", "Slower", () => studio.stepSpeed(-1)),
-    play("=", "Faster", () => studio.stepSpeed(1)),
+    ...transportShortcuts(studio),
     play("N", "Next clip (Shift: previous)", (e) => studio.stepClip(e.shiftKey ? -1 : 1)),
     look("F", "Frame everything", () => studio.view.frameAll()),
     look("Shift+F", "Frame the active character", () => studio.view.frameActive()),

@@ -31,7 +31,7 @@ export interface Job {
   fraction: number | null;
 }
 
-const PAGES = ["view", "edit", "play"] as const;
+const PAGES = ["view", "edit", "retarget", "play"] as const;
 export type Page = (typeof PAGES)[number];
 
 /** How much of an animation a character must have for it to be offered, and to be applied by itself. */
@@ -175,7 +175,7 @@ export class Studio extends Player {
       this.pause();
       this.left[this.page] = { active: this.activeId, time: this.view.clock.time };
       this.page = page;
-      if (page !== "play") this.present(this.left[page]);
+      if (page === "view" || page === "edit") this.present(this.left[page]);
     }
     window.history.replaceState(null, "", `#${page}`);
   }

@@ -9,6 +9,8 @@ import { project } from "./edit/project.svelte";
 import { editHooks } from "./edit/test-hooks";
 import { play } from "./play/play.svelte";
 import { playHooks } from "./play/test-hooks";
+import { retarget } from "./retarget/retarget.svelte";
+import { retargetHooks } from "./retarget/test-hooks";
 import type { Studio } from "./studio.svelte";
 
 export function installHooks(studio: Studio): void {
@@ -90,9 +92,10 @@ export function installHooks(studio: Studio): void {
     ...playHooks,
     ...crowdHooks,
     ...editHooks,
+    ...retargetHooks,
     stats: () => studio.view.stats(),
     resetStats: () => studio.view.resetStats(),
   };
-  Object.assign(window, { keypose: { test, studio, play, crowd, editor, project } });
+  Object.assign(window, { keypose: { test, studio, play, crowd, editor, project, retarget } });
 }
 

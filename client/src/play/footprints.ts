@@ -2,6 +2,14 @@
 
 import * as THREE from "three";
 
+/** GLSL: 1 inside of a print, a sole and a heel; `at` is -1 to 1 over its width and length. */
+export const PRINT_SHAPE = `
+  float printShape(vec2 at) {
+    float sole = length((at - vec2(0.0, -0.34)) / vec2(0.78, 0.62));
+    float heel = length((at - vec2(0.0, 0.66)) / vec2(0.6, 0.32));
+    return 1.0 - smoothstep(0.86, 1.0, min(sole, heel));
+  }`;
+
 const COUNT = 64;
 const LIFE_S = 9;
 
@@ -40,12 +48,9 @@ export class Footprints {
         uniform float strength;
         varying vec2 at;
         varying float life;
+        ${PRINT_SHAPE}
         void main() {
-          // a sole and a heel
-          float sole = length((at - vec2(0.0, -0.34)) / vec2(0.78, 0.62));
-          float heel = length((at - vec2(0.0, 0.66)) / vec2(0.6, 0.32));
-          float inside = 1.0 - smoothstep(0.86, 1.0, min(sole, heel));
-          gl_FragColor = vec4(color, inside * life * strength);
+          gl_FragColor = vec4(color, printShape(at) * life * strength);
           if (gl_FragColor.a < 0.004) discard;
         }`,
     });

@@ -116,14 +116,16 @@ class Retargeting:
         return await asyncio.to_thread(written, self._result(id).scene, kind)
 
     async def send_to_edit(self, id: str) -> EditResult:
-        """Add the character and its motion to the project, one step of undo."""
+        """Add the character and its motion to the project, one step of undo; the report is what it is called there."""
         try:
             scene = self._result(id).scene
         except KeyposeError as error:
             return EditResult("", 0, complaint(error), "")
         motion = scene.animations[0]
         label = f"Retarget {motion.name}"[:120]
-        return await self._session.editing.change(lambda document: performance_commands(document, scene), label)
+        editing = self._session.editing
+        result = await editing.change(lambda document: performance_commands(document, scene), label)
+        return result if result.error else replace(result, report=next(reversed(editing.workspace.document.characters)))
 
     # ---- doing -------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,596 @@
+// The state of the retarget page and its commands: two subjects, what is asked of the server, and what came of it.
+
+import type { Animation } from "../anim/animation";
+import { Clock } from "../anim/clock";
+import type { Rig } from "../anim/rig";
+import { editor } from "../edit/editor.svelte";
+import type { EditResult, RetargetAsked, RetargetDone, RetargetRequest, RetargetRoles, RetargetSubject } from "../generated/messages";
+import { History } from "../history.svelte";
+import { save } from "../net/download";
+import { Player } from "../player.svelte";
+import { loadScene, type OpenFile } from "../scene";
+import { studio } from "../studio.svelte";
+import type { Actor } from "../view/actor";
+import { SIDES, type Look, type Pair, type SideName } from "./pair";
+import type { Print } from "./prints";
+import { assigned, fromJson, labelOf, mirrored, missingOf, toJson, type RoleTable } from "./roles";
+
+/** A scene on one of the two stages. */
+export interface Subject {
+  /** As the server knows it: the id of an open scene, or "sample:walk". */
+  readonly reference: string;
+  readonly name: string;
+  readonly file: OpenFile;
+  readonly found: readonly RetargetRoles[];
+  readonly character: number;
+  readonly animation: number;
+}
+
+export interface Options {
+  /** Null goes by the lengths of the legs. */
+  scale: number | null;
+  plant: boolean;
+  sourceReference: "auto" | "rest" | "time";
+  referenceTime: number;
+  targetReference: "auto" | "rest";
+  rate: number | null;
+}
+
+const PLAIN: Options = { scale: null, plant: true, sourceReference: "auto", referenceTime: 0, targetReference: "auto", rate: null };
+const SETTLE_MS = 140;
+
+export class Retarget extends Player {
+  subjects = $state.raw<Readonly<Record<SideName, Subject | null>>>({ source: null, target: null });
+  loading = $state.raw<Readonly<Record<SideName, string>>>({ source: "", target: "" });
+  /** Roles set by hand; null for what was found. */
+  maps = $state.raw<Readonly<Record<SideName, RoleTable | null>>>({ source: null, target: null });
+  options = $state<Options>({ ...PLAIN });
+  look = $state<Look>({ bones: false, surface: "shaded", grid: true, follow: false, prints: true, linked: true });
+  tab = $state<"fit" | "roles">("fit");
+  panel = $state(innerWidth > 900);
+  /** Whether changes are carried out at once. */
+  automatic = $state(true);
+
+  done = $state.raw<RetargetDone | null>(null);
+  /** Why there is no motion. */
+  error = $state("");
+  busy = $state(false);
+  /** Something was changed since `done`. */
+  stale = $state(false);
+  saving = $state("");
+
+  /** Whose roles are chosen, and which. */
+  side = $state<SideName>("target");
+  role = $state<string | null>(null);
+  hoveredRole = $state<string | null>(null);
+  hoveredJoint = $state(-1);
+  /** Whether the one whose roles are chosen stands in its rest pose. */
+  atRest = $state(true);
+  readonly history = new History();
+
+  animation = $derived.by((): Animation | null => {
+    const { source } = this.subjects;
+    return source?.file.animations[source.animation] ?? null;
+  });
+  picking = $derived<SideName | null>(this.tab === "roles" && this.panel ? this.side : null);
+
+  private pair: Pair | null = null;
+  private readonly idle = new Clock();
+  private result: Animation | null = null;
+  private readonly turns: Record<SideName, number> = { source: 0, target: 0 };
+  private run = 0;
+  private again = false;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private entered = false;
+  private followChosen = false;
+  private expecting: SideName | null = null;
+  private framed = "";
+  private revised = 0;
+
+  // ---- the player --------------------------------------------------------------------------------------------------
+
+  protected clock(): Clock {
+    return this.pair?.clock ?? this.idle;
+  }
+
+  protected reposed(): void {
+    this.pair?.reposed();
+  }
+
+  rig(): Rig | null {
+    return this.actor("source")?.rig ?? null;
+  }
+
+  // ---- the stages --------------------------------------------------------------------------------------------------
+
+  attach(pair: Pair | null): void {
+    this.pair = pair;
+    if (!pair) return;
+    pair.onFrame = (time, posed) => {
+      this.time = time;
+      const now = performance.now();
+      if (posed && (!this.playing || now - this.revised > 100)) {
+        this.revised = now;
+        this.revision++;
+      }
+      for (const listener of this.frameListeners) listener();
+    };
+    pair.onStop = () => (this.playing = false);
+    pair.setTheme(studio.theme);
+  }
+
+  get stages(): Pair | null {
+    return this.pair;
+  }
+
+  actor(side: SideName): Actor | null {
+    const subject = this.subjects[side];
+    return subject?.file.actors[subject.character] ?? null;
+  }
+
+  /** Begin with what is open, when the page is first seen. */
+  enter(): void {
+    if (this.entered || !this.pair) return;
+    this.entered = true;
+    studio.messageListeners.add((message) => {
+      if (message.type === "scene_ready" && studio.page === "retarget") void this.adopt(message.scene.id);
+    });
+    const files = studio.files.filter((file) => file.actors.length > 0);
+    const moving = files.filter((file) => file.animations.length > 0);
+    const source = moving.find((file) => !file.hasMesh) ?? moving.find((file) => files.length === 1 || file !== files.findLast((f) => f.hasMesh)) ?? null;
+    const target = files.findLast((file) => file.hasMesh && file !== source) ?? null;
+    void this.choose("source", source?.id ?? "sample:walk");
+    void this.choose("target", target?.id ?? "sample:human");
+  }
+
+  // ---- subjects ----------------------------------------------------------------------------------------------------
+
+  /** The next file that arrives is for this side. */
+  expect(side: SideName | null): void {
+    this.expecting = side;
+  }
+
+  private async fetched(reference: string, side: SideName | null): Promise<{ told: RetargetSubject; file: OpenFile } | null> {
+    const told = await this.ask<RetargetSubject>({ type: "retarget_subject", scene: reference });
+    if (!told.scene) throw new Error(told.error);
+    const container = await studio.connection.scene<never>(told.scene.id, told.scene.bytes, (fraction) => {
+      if (side) this.loading = { ...this.loading, [side]: `Loading ${told.scene!.name}: ${Math.round(100 * fraction)} %` };
+    });
+    return { told, file: await loadScene(container) };
+  }
+
+  /** A file that was opened while this page is seen takes the side that it was dropped on, or that suits it. */
+  private async adopt(reference: string): Promise<void> {
+    const wanted = this.expecting;
+    this.expecting = null;
+    try {
+      const found = await this.fetched(reference, null);
+      if (!found || found.file.actors.length === 0) return;
+      const moves = found.file.animations.length > 0;
+      const side = !moves ? "target" : (wanted ?? (found.file.hasMesh ? "target" : "source"));
+      if (wanted === "source" && !moves) studio.toast("info", `${found.file.name} has no motion`, "It is taken as the character that the motion goes to.");
+      this.take(side, reference, found.told, found.file);
+    } catch (error) {
+      this.refuse(reference, error);
+    }
+  }
+
+  async choose(side: SideName, reference: string): Promise<void> {
+    const turn = ++this.turns[side];
+    this.loading = { ...this.loading, [side]: "Loading" };
+    try {
+      const found = await this.fetched(reference, side);
+      if (!found) return;
+      if (turn !== this.turns[side]) discard(found.file);
+      else this.take(side, reference, found.told, found.file);
+    } catch (error) {
+      if (turn === this.turns[side]) this.refuse(reference, error);
+    } finally {
+      if (turn === this.turns[side]) this.loading = { ...this.loading, [side]: "" };
+    }
+  }
+
+  private refuse(reference: string, error: unknown): void {
+    studio.toast("error", `${reference.replace("sample:", "")} cannot be shown`, error instanceof Error ? error.message : String(error));
+  }
+
+  private take(side: SideName, reference: string, told: RetargetSubject, file: OpenFile): void {
+    if (file.actors.length === 0) {
+      discard(file);
+      this.refuse(file.name, new Error("It has no character and no skeleton."));
+      return;
+    }
+    if (side === "source" && file.animations.length === 0) {
+      discard(file);
+      this.refuse(file.name, new Error("It has no motion."));
+      return;
+    }
+    const old = this.subjects[side];
+    // the most human of several, which for a source also performs
+    const worth = (n: number) => -10 * told.characters[n].missing.length + (side === "source" ? 100 * file.animations[0].match(file.actors[n].rig, []) : 0);
+    const character = told.characters.map((_, n) => n).reduce((best, n) => (worth(n) > worth(best) ? n : best), 0);
+    const own = file.actors[character];
+    const animation = Math.max(0, file.animations.findIndex((a) => a.match(own.rig, own.morphNames) > 0.3));
+    this.put(side, { reference, name: file.name.replace(/^sample:/, ""), file, found: told.characters, character, animation });
+    if (old) discard(old.file);
+  }
+
+  /** Another character or animation of the same scene. */
+  change(side: SideName, part: { character?: number; animation?: number }): void {
+    const subject = this.subjects[side];
+    if (subject) this.put(side, { ...subject, ...part });
+  }
+
+  private put(side: SideName, subject: Subject): void {
+    const before = this.subjects[side];
+    const same = before?.file === subject.file && before.character === subject.character;
+    this.subjects = { ...this.subjects, [side]: subject };
+    if (!same) {
+      this.maps = { ...this.maps, [side]: null };
+      this.history.clear();
+      this.role = null;
+      this.followChosen = false;
+    }
+    if (side === "source") {
+      this.options.sourceReference = this.options.sourceReference === "time" ? "auto" : this.options.sourceReference;
+      this.takePace();
+    }
+    // the old motion is no longer that of these two
+    this.result = null;
+    this.done = null;
+    this.error = "";
+    this.fitted[side] = same ? this.fitted[side] : "gone";
+    this.perform();
+    if (!same) this.pair?.show(side, this.actor(side));
+    this.request(true);
+  }
+
+  private takePace(): void {
+    const clock = this.clock(), { animation } = this;
+    clock.rate = animation?.rate ?? 30;
+    clock.time = animation?.start ?? 0;
+    this.setRange(animation?.start ?? 0, animation?.end ?? 0);
+  }
+
+  /** Everybody performs what is to be seen now. */
+  perform(): void {
+    const shown: Record<SideName, Animation | null> = { source: this.animation, target: this.result };
+    for (const side of SIDES) {
+      const actor = this.actor(side);
+      if (!actor) continue;
+      const wanted = this.picking === side && this.atRest ? null : shown[side];
+      if (actor.animation !== wanted) {
+        actor.setAnimation(wanted);
+        actor.measurePerformance();
+      }
+    }
+    this.fitPrints();
+    this.pair?.reposed();
+  }
+
+  /** The prints of the contacts, once for each motion; who stands at rest shows none. */
+  private fitPrints(): void {
+    const { done, pair } = this;
+    if (!pair) return;
+    let changed = false;
+    for (const side of SIDES) {
+      const animation = this.actor(side)?.animation ?? null;
+      const motion = done && animation ? animation : null;
+      if (motion === null && done && animation === null) continue;
+      const key = motion && done ? `${done.id} ${side}` : "";
+      if (key === this.fitted[side]) continue;
+      this.fitted[side] = key;
+      changed = true;
+      pair.contacts(side, done && motion ? (side === "source" ? done.source_contacts : done.target_contacts) : [], motion?.start ?? 0, done?.rate_hz ?? 1);
+    }
+    if (changed) this.prints = { source: pair.prints.source.prints, target: pair.prints.target.prints };
+  }
+  private readonly fitted: Record<SideName, string> = { source: "", target: "" };
+  /** When the feet of both are on the ground, and how they slide there. */
+  prints = $state.raw<Readonly<Record<SideName, readonly Print[]>>>({ source: [], target: [] });
+
+  // ---- asking ------------------------------------------------------------------------------------------------------
+
+  private async ask<R>(asked: RetargetAsked): Promise<R> {
+    return studio.connection.post<R>("api/retarget", new Blob([JSON.stringify(asked)]));
+  }
+
+  /** What is set has changed: carry it out soon, or, where changes wait for a click, remember it. */
+  request(now = false): void {
+    this.stale = true;
+    if (!this.automatic && !now) return;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => void this.retarget(), now ? 0 : SETTLE_MS);
+  }
+
+  async retarget(): Promise<void> {
+    clearTimeout(this.timer);
+    const { source, target } = this.subjects;
+    if (!source || !target) return;
+    if (this.busy) {
+      this.again = true;
+      return;
+    }
+    const run = ++this.run;
+    this.busy = true;
+    this.stale = false;
+    try {
+      const done = await this.ask<RetargetDone>(this.asked(source, target));
+      if (this.subjects.source !== source || this.subjects.target !== target) return;
+      if (!done.scene) {
+        this.fail(done.error);
+        return;
+      }
+      const file = await loadScene(await studio.connection.scene<never>(done.scene.id, done.scene.bytes, () => {}));
+      if (this.subjects.source !== source || this.subjects.target !== target || run !== this.run) return;
+      this.show(done, file.animations[0]);
+    } catch (error) {
+      this.fail(error instanceof TypeError ? "The studio's server cannot be reached. Is keypose still running?" : error instanceof Error ? error.message : String(error));
+    } finally {
+      this.busy = false;
+      if (this.again) {
+        this.again = false;
+        void this.retarget();
+      }
+    }
+  }
+
+  private asked(source: Subject, target: Subject): RetargetRequest {
+    const { scale, plant, sourceReference, referenceTime, targetReference, rate } = this.options;
+    return {
+      type: "retarget",
+      source: source.reference,
+      source_character: source.character,
+      animation: source.animation,
+      target: target.reference,
+      target_character: target.character,
+      source_roles: this.maps.source && { ...this.maps.source },
+      target_roles: this.maps.target && { ...this.maps.target },
+      source_reference: sourceReference,
+      reference_s: referenceTime,
+      target_reference: targetReference,
+      scale,
+      plant,
+      rate_hz: rate,
+    };
+  }
+
+  private fail(error: string): void {
+    this.error = error;
+    this.done = null;
+    this.result = null;
+    this.perform();
+  }
+
+  private show(done: RetargetDone, animation: Animation): void {
+    this.done = done;
+    this.error = "";
+    this.result = animation;
+    this.perform();
+    const actor = this.actor("source")!;
+    const pairName = `${this.subjects.source!.file.id} ${this.subjects.source!.animation} ${this.subjects.target!.file.id}`;
+    if (this.framed === pairName) return;
+    this.framed = pairName;
+    if (!this.followChosen) this.look.follow = actor.travel() > 0.6 * actor.height;
+    this.applyLook();
+    this.pair?.frame("three-quarter", true);
+    if (!this.playing && !matchMedia("(prefers-reduced-motion: reduce)").matches && studio.page === "retarget") this.play();
+  }
+
+  // ---- options -----------------------------------------------------------------------------------------------------
+
+  set(change: Partial<Options>): void {
+    Object.assign(this.options, change);
+    this.request();
+  }
+
+  resetOptions(): void {
+    this.set({ ...PLAIN });
+  }
+
+  get isPlain(): boolean {
+    return Object.entries(PLAIN).every(([name, value]) => this.options[name as keyof Options] === value || (name === "referenceTime" && this.options.sourceReference !== "time"));
+  }
+
+  // ---- looking -----------------------------------------------------------------------------------------------------
+
+  toggle3d(name: "bones" | "grid" | "follow" | "prints" | "linked"): void {
+    this.look[name] = !this.look[name];
+    if (name === "follow") this.followChosen = true;
+    this.applyLook();
+  }
+
+  nextSurface(): void {
+    const all = ["shaded", "wire", "none"] as const;
+    this.look.surface = all[(all.indexOf(this.look.surface) + 1) % all.length];
+    this.applyLook();
+  }
+
+  applyLook(): void {
+    this.pair?.setLook({ ...this.look }, this.picking);
+    if (this.picking) this.mark();
+  }
+
+  // ---- roles -------------------------------------------------------------------------------------------------------
+
+  found(side: SideName): RetargetRoles | null {
+    const subject = this.subjects[side];
+    return subject?.found[subject.character] ?? null;
+  }
+
+  /** The roles that count: set by hand, else found. */
+  table(side: SideName): RoleTable {
+    return this.maps[side] ?? this.found(side)?.roles ?? {};
+  }
+
+  missing(side: SideName): string[] {
+    return missingOf(this.table(side));
+  }
+
+  pick(side: SideName): void {
+    this.side = side;
+    this.role = this.hoveredRole = null;
+    this.hoveredJoint = -1;
+    this.showPicking();
+  }
+
+  /** Bring the stages in line with whether roles are chosen, and whose. */
+  showPicking(): void {
+    this.perform();
+    this.applyLook();
+    const { pair, picking } = this;
+    if (pair) pair.frame(picking ? "front" : "three-quarter", true);
+  }
+
+  setAtRest(on: boolean): void {
+    this.atRest = on;
+    this.showPicking();
+  }
+
+  /** The joints of the chosen body that stand out. */
+  mark(): void {
+    const { picking, pair } = this;
+    const rig = picking && this.actor(picking)?.rig;
+    if (!picking || !pair || !rig) return;
+    const table = this.table(picking);
+    const index = (role: string | null) => (role !== null && table[role] !== undefined ? rig.index(table[role]) : -1);
+    const played = new Set(Object.values(table).map((joint) => rig.index(joint)));
+    pair.mark(picking, played, this.hoveredJoint >= 0 ? this.hoveredJoint : index(this.hoveredRole), index(this.role));
+  }
+
+  hoverRole(role: string | null): void {
+    if (role === this.hoveredRole) return;
+    this.hoveredRole = role;
+    this.mark();
+  }
+
+  hoverJoint(joint: number): void {
+    if (joint === this.hoveredJoint) return;
+    this.hoveredJoint = joint;
+    this.mark();
+  }
+
+  chooseRole(role: string | null): void {
+    this.role = role === this.role ? null : role;
+    this.mark();
+  }
+
+  roleOfJoint(joint: string): string | null {
+    return Object.entries(this.table(this.side)).find(([, j]) => j === joint)?.[0] ?? null;
+  }
+
+  /** A joint was clicked: it plays the chosen role, or, where none is chosen, its own role is. */
+  clickJoint(joint: string): void {
+    if (this.role === null) this.chooseRole(this.roleOfJoint(joint));
+    else if (this.table(this.side)[this.role] !== joint) this.assign(this.role, joint);
+  }
+
+  assign(role: string, joint: string | null): void {
+    this.setMap(this.side, assigned(this.table(this.side), role, joint), joint === null ? `${labelOf(role)} without a joint` : `${labelOf(role)} is ${joint}`);
+  }
+
+  mirror(from: "left" | "right"): void {
+    const rig = this.actor(this.side)?.rig;
+    if (rig) this.setMap(this.side, mirrored(this.table(this.side), from, rig), `Roles mirrored from the ${from}`);
+  }
+
+  resetRoles(): void {
+    this.setMap(this.side, null, "Roles as found");
+  }
+
+  /** Find the other roles anew around those that were set by hand. */
+  async findRest(): Promise<void> {
+    const { side } = this, subject = this.subjects[side], own = this.maps[side], found = this.found(side);
+    if (!subject || !own || !found) return;
+    const known = Object.fromEntries(Object.entries(own).filter(([role, joint]) => found.roles[role] !== joint));
+    try {
+      const told = await this.ask<RetargetRoles>({ type: "retarget_roles", scene: subject.reference, character: subject.character, known });
+      if (this.subjects[side] === subject) this.setMap(side, told.roles, "Other roles found anew");
+    } catch (error) {
+      studio.toast("error", "No roles were found", error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  private setMap(side: SideName, table: RoleTable | null, label: string): void {
+    const before = this.maps[side];
+    if (before === table || (before && table && toJson(before) === toJson(table))) return;
+    const apply = (value: RoleTable | null) => () => {
+      this.maps = { ...this.maps, [side]: value };
+      this.mark();
+      this.request();
+    };
+    apply(table)();
+    this.history.push(label, "", apply(before), apply(table));
+  }
+
+  saveMap(): void {
+    const subject = this.subjects[this.side];
+    if (subject) save(new Blob([toJson(this.table(this.side))], { type: "application/json" }), `${stem(subject.name)}-roles.json`);
+  }
+
+  loadMap(text: string, name: string): void {
+    const rig = this.actor(this.side)?.rig;
+    if (!rig) return;
+    try {
+      this.setMap(this.side, fromJson(text, rig.names), `Roles of ${name}`);
+    } catch (error) {
+      studio.toast("error", `${name} is no map for this skeleton`, error instanceof Error ? error.message : String(error));
+    }
+  }
+
+  // ---- where it goes -----------------------------------------------------------------------------------------------
+
+  async saveAs(kind: string): Promise<void> {
+    const { done } = this;
+    if (!done || this.saving) return;
+    this.saving = kind;
+    try {
+      save(await studio.connection.file(`api/retarget/${done.id}/${kind}`), `${stem(this.subjects.target!.name)}-${stem(done.name)}.${kind}`);
+    } catch (error) {
+      studio.toast("error", `It cannot be written as ${kind.toUpperCase()}`, error instanceof Error ? error.message : String(error));
+    } finally {
+      this.saving = "";
+    }
+  }
+
+  async sendToEdit(): Promise<void> {
+    const { done } = this;
+    if (!done || this.saving) return;
+    this.saving = "edit";
+    try {
+      const result = await studio.connection.post<EditResult>(`api/retarget/${done.id}/edit`, new Blob([]));
+      if (result.error) throw new Error(result.error);
+      studio.turnTo("edit");
+      this.activateIn(result.report);
+    } catch (error) {
+      studio.toast("error", "It was not added to the project", error instanceof Error ? error.message : String(error));
+    } finally {
+      this.saving = "";
+    }
+  }
+
+  /** The character that was sent is the one that is edited, as soon as it is there. */
+  private activateIn(character: string): void {
+    const activate = () => {
+      if (!editor.actorOf(character)) return;
+      studio.castListeners.delete(activate);
+      editor.activate(character);
+      studio.view.frameAll("three-quarter", true);
+    };
+    studio.castListeners.add(activate);
+    activate();
+  }
+
+  async screenshot(): Promise<void> {
+    if (this.pair) save(await this.pair.screenshot(), `retarget-${stem(this.done?.name ?? "rest")}.png`);
+  }
+}
+
+const stem = (name: string): string => name.replace(/\.[^.]*$/, "").replace(/[^\w.-]+/g, "_") || "motion";
+
+function discard(file: OpenFile): void {
+  for (const actor of file.actors) actor.dispose();
+  file.dispose();
+}
+
+export const retarget = new Retarget();
