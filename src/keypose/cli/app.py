@@ -283,6 +283,26 @@ def retarget(
     to_roles: Annotated[
         Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
     ] = None,
+    source_reference: Annotated[
+        int | None,
+        typer.Option(
+            "--source-reference", metavar="FRAME", help="Frame of MOTION that stands, for its rest pose.", min=0
+        ),
+    ] = None,
+    target_reference: Annotated[
+        int | None,
+        typer.Option("--target-reference", metavar="FRAME", help="Frame of CHARACTER's motion that stands.", min=0),
+    ] = None,
+    keep_hands: Annotated[
+        bool, typer.Option("--keep-hands", help="Hands that touch body or props do so on the character.")
+    ] = False,
+    prop: Annotated[
+        list[str] | None,
+        typer.Option("--prop", metavar="X,Y,Z", help="A place that hands hold on to, in metres; X,Y,Z:X,Y,Z for two."),
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="FILE", help="Somebody else's result, to be compared.")
+    ] = None,
     skeleton: SkeletonFile = None,
     option: FormatOptions = None,
     unit: UnitOption = None,
@@ -305,6 +325,11 @@ def retarget(
         unit=unit,
         up=up,
         quiet=quiet,
+        source_reference=source_reference,
+        target_reference=target_reference,
+        hands=keep_hands,
+        props=prop or (),
+        against=against,
         skeleton=skeleton,
         options=option or (),
     )

@@ -7,14 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from keypose.cli.console import console, progress_bar
 from keypose.cli.convert import not_an_input
 from keypose.cli.inputs import open_input
-from keypose.errors import FormatError
-from keypose.model import Motion, Scene, Skeleton
+from keypose.errors import FormatError, ShapeError
+from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
 
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
+    from keypose.retarget import Prop, RetargetResult
 
 FILMS = (".png", ".gif", ".mp4", ".webm")
 
@@ -35,22 +38,32 @@ def retarget_file(
     quiet: bool,
     skeleton: str | None = None,
     options: Sequence[str] = (),
+    source_reference: int | None = None,
+    target_reference: int | None = None,
+    hands: bool = False,
+    props: Sequence[str] = (),
+    against: str | None = None,
 ) -> None:
     """Put a motion on a character and write the character with it.
 
+    ``source_reference`` and ``target_reference`` are frames of the two files' motions that stand; ``props`` places as text
+    (see `parse_prop`); ``against`` a file with somebody else's result, which is compared.
+
     Raises:
         FormatError: where the output's format cannot be written, or an input has no motion or no skeleton.
+        ShapeError: where a frame is outside its motion, or a place is none.
     """
     from keypose import io
     from keypose.editing.planting import PlantOptions
     from keypose.io.registry import format_of_suffix, unknown_format
-    from keypose.retarget import retarget
+    from keypose.retarget import HandOptions, ground_under, retarget
 
     film = output.suffix.lower() in FILMS
     chosen = format_of_suffix(output)
     if not film and (chosen is None or not chosen.write):  # told before anything is read
         raise unknown_format(output, writing=True)
-    not_an_input(output, [motion, character])
+    not_an_input(output, [motion, character, *([] if against is None else [against])])
+    held = HandOptions(props=[parse_prop(text) for text in props]) if hands or props else None
     performed = open_input(motion, unit=unit, up=up, skeleton=skeleton, options=options)
     cast = open_input(character)
     for scene, name in ((performed, motion), (cast, character)):
@@ -60,18 +73,23 @@ def retarget_file(
         raise FormatError("it has no motion", path=motion)
     animation = performed.animations[0] if clip is None else performed.animation(clip)
     source, target = performed.character, cast.character
-    own = next((a for a in cast.animations if isinstance(a, Motion)), None)
+    own = next((a for a in cast.animations if isinstance(a, Motion) and a.joint_names == target.skeleton.names), None)
+    target_map = _roles(target_roles, target.skeleton, target.roles)
+    stand, stand_note = _stand(cast, target_map, target_reference, character)
     result = retarget(
         animation,
         source.skeleton,
         target.skeleton,
         source_roles=_roles(source_roles, source.skeleton, source.roles),
-        target_roles=_roles(target_roles, target.skeleton, target.roles),
-        target_motion=own if own is not None and own.joint_names == target.skeleton.names else None,
-        target_ground_m=_ground(cast),
+        target_roles=target_map,
+        source_reference=None if source_reference is None else _frame(animation, source, source_reference, motion),
+        target_reference=stand,
+        target_motion=own,
+        target_ground_m=ground_under(target, stand),
         rate_hz=rate_hz,
         scale=scale,
         plant=PlantOptions() if plant else None,
+        hands=held,
     )
     scene = Scene((target,), (replace(result.motion, name=animation.name or Path(motion).stem),), unit_m=cast.unit_m)
     if film:
@@ -90,10 +108,87 @@ def retarget_file(
         f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
         f"{result.motion.frame_count:,} frames at {result.motion.rate_hz:g} Hz)[/dim]"
     )
-    for note in (*result.notes, *(notes or ())):
+    for note in (*result.notes, *stand_note, *(notes or ())):
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in result.report.lines():
+    beside = [] if against is None else _compared(result, target.skeleton, against)
+    for line in (*result.report.lines(), *beside):
         out.print(f"  {escape(line)}")
+
+
+def parse_prop(text: str) -> Prop:
+    """A prop's place 'x,y,z' in metres of the source's world, or 'x,y,z:x,y,z' with the place in the target's.
+
+    Raises:
+        ShapeError: where the text says something else.
+    """
+    from keypose.retarget import Prop
+
+    try:
+        places = [np.array([float(number) for number in part.split(",")]) for part in text.split(":")]
+    except ValueError:
+        places = []
+    if len(places) not in (1, 2) or any(place.shape != (3,) or not np.isfinite(place).all() for place in places):
+        raise ShapeError(f"prop: expected x,y,z or x,y,z:x,y,z in metres, got '{text}'")
+    return Prop(*places)
+
+
+def _stand(cast: Scene, roles: RoleMap | None, frame: int | None, name: str) -> tuple[Pose | None, tuple[str, ...]]:
+    """The target's reference pose where it is not the rest pose, and what is to be said about it."""
+    from keypose.analysis import find_roles
+    from keypose.retarget import bind_stand
+
+    character = cast.character
+    if frame is not None:
+        if not cast.animations:
+            raise FormatError("it has no motion whose frame could be the reference pose", path=name)
+        return _frame(cast.animations[0], character, frame, name), ()
+    found = find_roles(character.skeleton) if roles is None else roles
+    bound = None if found.missing else bind_stand(character, found.roles)
+    said = "target: the rest pose is no upright stand; the pose in which the skin was bound is taken for one"
+    return bound, () if bound is None else (said,)
+
+
+def _frame(animation: Motion | Clip, character: Character, frame: int, name: str) -> Pose:
+    """A frame of a motion as a pose."""
+    from keypose.evaluate import key_rate, match, sample
+
+    if isinstance(animation, Motion):
+        motion = match(animation, character.skeleton)
+        count = motion.frame_count
+        if 0 <= frame < count:
+            pose = motion.pose.broadcast()
+            return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame])
+    else:
+        rate = animation.rate_hz or key_rate(animation) or 30.0
+        count = round(animation.duration_s * rate) + 1
+        if 0 <= frame < count:
+            return sample(animation, character.skeleton, animation.start_s + frame / rate)
+    raise ShapeError(f"reference frame of {name}: expected 0 to {count - 1}, got {frame}")
+
+
+def _compared(result: RetargetResult, skeleton: Skeleton, against: str) -> list[str]:
+    """What the result is beside somebody else's."""
+    from keypose.analysis import find_roles
+    from keypose.evaluate import bake, key_rate, match
+    from keypose.retarget import compare_with_reference
+
+    theirs = open_input(against)
+    if not theirs.characters or not theirs.animations:
+        raise FormatError("it has no skeleton with a motion", path=against)
+    body, animation = theirs.character, theirs.animations[0]
+    if isinstance(animation, Clip):
+        animation = bake(animation, body.skeleton, animation.rate_hz or key_rate(animation) or 30.0)
+    found = find_roles(body.skeleton, known=body.roles or None)
+    report = compare_with_reference(
+        result.motion,
+        skeleton,
+        result.target.roles,
+        match(animation, body.skeleton),
+        body.skeleton,
+        found.roles,
+        result.touching,
+    )
+    return report.lines()
 
 
 def print_roles(
@@ -157,15 +252,3 @@ def _roles(path: Path | None, skeleton: Skeleton, known: Any) -> RoleMap | None:
         found = find_roles(skeleton, known=known)
         return found if not found.missing else None
     return None
-
-
-def _ground(scene: Scene) -> float | None:
-    """The lowest point of the character's surface at rest: what stands on the ground."""
-    from keypose import deform, evaluate
-
-    character = scene.character
-    if not any(part.skin is not None for part in character.parts):
-        return None
-    standing = deform.deform_character(character, evaluate.world(character.skeleton, character.skeleton.rest))
-    lowest = [float(vertices[:, 1].min()) for vertices in standing if len(vertices)]
-    return min(lowest, default=None)
