@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from keypose.editing.constraint_operators import CONSTRAINT_OPERATORS
 from keypose.editing.key_operators import KEY_OPERATORS
 from keypose.editing.motion_operators import MOTION_OPERATORS
 from keypose.editing.operator_types import Operated, Operator, Parameter
@@ -15,7 +16,9 @@ from keypose.model import Clip, Skeleton
 
 __all__ = ["OPERATORS", "Operated", "Operator", "Parameter", "checked_parameters", "run_operator"]
 
-OPERATORS: Mapping[str, Operator] = {operator.name: operator for operator in (*KEY_OPERATORS, *MOTION_OPERATORS)}
+OPERATORS: Mapping[str, Operator] = {
+    operator.name: operator for operator in (*KEY_OPERATORS, *MOTION_OPERATORS, *CONSTRAINT_OPERATORS)
+}
 """All operators by name, in the order in which they are offered."""
 
 
