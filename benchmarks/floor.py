@@ -22,7 +22,7 @@ from typing import Any
 LARGER_IS_BETTER = ("/s",)
 
 
-SUITES = ("kernels", "runtime")
+SUITES = ("kernels", "runtime", "ik")
 Key = tuple[str, str, str]  # suite, name, unit
 
 

@@ -5,6 +5,7 @@ run("bvh")       reading and writing BVH files against pybvh and PyMotion
 run("fk")        forward kinematics of a clip against PyMotion
 run("runtime")   compiled clips: their size and error, the time to decode one pose, and crowds that play them; the same
                  rows as of "kernels" where it is the same work, here on compressed clips with scale
+run("ik")        limbs, whole bodies and retargeting: against NumPy, mink and published figures
 run("io")        reading and writing capture files: C3D against ezc3d and c3d
 """
 
@@ -17,7 +18,7 @@ from keypose.errors import UnknownName
 
 __all__ = ["SUITES", "Result", "run"]
 
-SUITES = ("kernels", "bvh", "fk", "runtime", "io", "curves")
+SUITES = ("kernels", "bvh", "fk", "runtime", "io", "curves", "ik")
 
 
 def run(name: str | None = None, json_path: str | Path | None = None, rounds: int = 15) -> list[Result]:
@@ -56,6 +57,11 @@ def run(name: str | None = None, json_path: str | Path | None = None, rounds: in
 
         suite.begin("curves")
         curves.add(suite)
+    if name in (None, "ik"):
+        from keypose.bench import ik
+
+        suite.begin("ik")
+        ik.add(suite)
     if name in (None, "io"):
         from keypose.bench import io
 

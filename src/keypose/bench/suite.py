@@ -26,7 +26,15 @@ _ROUND_S = 3e-3  # a case is repeated until one round takes about this long
 _REFERENCE_ROUNDS = 3
 
 # seconds per item -> what is shown
-_PER_ITEM = {"ns": 1e9, "ns/character": 1e9, "us/character": 1e6, "ns/vertex": 1e9, "ms": 1e3}
+_PER_ITEM = {
+    "ns": 1e9,
+    "ns/character": 1e9,
+    "us/character": 1e6,
+    "ns/vertex": 1e9,
+    "ns/limb": 1e9,
+    "us/solve": 1e6,
+    "ms": 1e3,
+}
 _LESS = {"mm", "cm/s"}
 _PER_SECOND = {
     "MB/s": 1e-6,
@@ -67,6 +75,7 @@ class Case:
     reference_count: float = 0.0
     note: str = ""
     suite: str = ""
+    published: float | None = None
     times: int = 1
     seconds: list[float] = field(default_factory=list[float])
     reference_seconds: list[float] = field(default_factory=list[float])
@@ -109,11 +118,23 @@ class Suite:
         against: str = "NumPy",
         reference_count: float | None = None,
         note: str = "",
+        published: float | None = None,
     ) -> None:
-        """Add a case, with the same work done by something else (on ``reference_count`` items)."""
+        """Add a case, with the same work done by something else (on ``reference_count`` items) or what others say it takes."""
         counted = count if reference_count is None else reference_count
         self.cases.append(
-            Case(name, unit, count, call, against if reference else "", reference, counted, note, self.name)
+            Case(
+                name,
+                unit,
+                count,
+                call,
+                against if reference or published else "",
+                reference,
+                counted,
+                note,
+                self.name,
+                published,
+            )
         )
 
     def absent(self, name: str, unit: str, against: str) -> None:
@@ -185,9 +206,10 @@ def _time(call: Callable[[], Any], times: int) -> float:
 
 def _result(case: Case) -> Result:
     value, median = (case.shown(float(np.percentile(case.seconds, p)), case.count) for p in (25, 50))
-    reference = ratio = None
+    reference, ratio = case.published, None
     if case.reference_seconds:
         reference = case.shown(float(np.percentile(case.reference_seconds, 25)), case.reference_count)
+    if reference is not None:
         ratio = reference / value if case.unit in _PER_ITEM else value / reference
     return Result(case.name, case.unit, value, median, reference, ratio, case.against, case.note, case.suite)
 
