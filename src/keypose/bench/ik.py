@@ -84,7 +84,8 @@ def _retargeting(suite: Suite) -> None:
     legs = [n for n, name in enumerate(body.names) if name.endswith(("Leg", "Foot"))]
     offsets[legs] *= 1.1
     other = replace(body, rest=replace(body.rest, translations=offsets))
-    motion, skeleton = walk.animations[0], walk.character.skeleton
+    skeleton = walk.character.skeleton
+    motion: Any = walk.animations[0]
     slide = retarget(motion, skeleton, other).report.slide_cm_s
     suite.check("retargeting: feet in contact slide (cm/s)", slide, 1.0)
     suite.case(
