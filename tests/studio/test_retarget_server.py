@@ -18,11 +18,10 @@ from keypose.analysis.roles import ROLES
 from keypose.evaluate import bake, sample_timeline, world
 from keypose.model import Motion
 from keypose.project.file import from_bytes
-from keypose.retarget import retarget
+from keypose.retarget import ground_under, retarget
 from keypose.studio import StudioServer
 from keypose.studio.container import unpack
 from keypose.studio.requests import parse_retarget_request
-from keypose.studio.retarget import ground_height
 
 PLAIN: dict[str, Any] = {
     "type": "retarget",
@@ -38,6 +37,7 @@ PLAIN: dict[str, Any] = {
     "target_reference": "auto",
     "scale": None,
     "plant": True,
+    "keep_hands": False,
     "rate_hz": None,
 }
 
@@ -95,7 +95,7 @@ def test_the_motion_is_the_librarys(server: StudioServer) -> None:
         body.skeleton,
         scale=0.8,
         rate_hz=30.0,
-        target_ground_m=ground_height(body),
+        target_ground_m=ground_under(body),
     )
     assert done["frames"] == expected.motion.frame_count and done["rate_hz"] == 30.0
     assert done["direction_deg"] == pytest.approx(expected.report.direction_deg, abs=1e-6)
@@ -113,11 +113,11 @@ def test_contacts_are_where_feet_are_down(server: StudioServer) -> None:
     human = samples.load("human").character
     status, _, data = request(server, "GET", f"/api/retarget/{done['id']}/glb", headers=with_token(server))
     assert status == 200
-    assert {c["point"] for c in done["target_contacts"]} == {"left_heel", "left_ball", "right_heel", "right_ball"}
+    assert {c["point"] for c in done["contacts"]} == {"left_heel", "left_ball", "right_heel", "right_ball"}
     walked = _loaded(data)
     places = np.asarray(world(walked.character.skeleton, _motion(walked).pose))[..., :3, 3]
-    for contact in done["target_contacts"]:
-        joint = walked.character.skeleton.names.index(contact["joint"])
+    for contact in done["contacts"]:
+        joint = walked.character.skeleton.names.index(contact["target_joint"])
         spans = np.reshape(contact["spans"], (-1, 2))
         assert len(spans) > 0 and spans.max() < done["frames"] and np.all(spans[:, 0] <= spans[:, 1])
         down = np.zeros(done["frames"], bool)
@@ -140,6 +140,12 @@ def _loaded(data: bytes) -> Any:
 def _motion(scene: Any) -> Motion:
     found = scene.animations[0]
     return found if isinstance(found, Motion) else bake(found, scene.character.skeleton, 60.0)
+
+
+def test_hands_are_kept_where_that_is_asked(server: StudioServer) -> None:
+    assert ask(server, **{**PLAIN, "source": "sample:talk"})["hands_off_cm"] is None
+    done = ask(server, **{**PLAIN, "source": "sample:talk", "keep_hands": True})
+    assert done["error"] == "" and done["hands_off_cm"] >= 0.0
 
 
 def test_a_map_counts_and_a_wrong_one_is_told(server: StudioServer) -> None:

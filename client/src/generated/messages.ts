@@ -954,6 +954,7 @@ export interface RetargetRequest {
   target_reference: "auto" | "rest";
   scale: number | null;
   plant: boolean;
+  keep_hands: boolean;
   rate_hz: number | null;
 }
 
@@ -975,10 +976,11 @@ export interface RetargetSubject {
   error: string;
 }
 
-/** When a point of a foot touches the ground: ``spans`` are first and last frames, in pairs, one after the other. */
+/** When a point of a foot touches the ground in the source, and the joints that stand for it (empty where none does). */
 export interface RetargetContacts {
   point: string;
-  joint: string;
+  source_joint: string;
+  target_joint: string;
   spans: number[];
 }
 
@@ -1000,8 +1002,8 @@ export interface RetargetDone {
   worst_slide_cm_s: number;
   sink_cm: number;
   contact_frames: number;
-  source_contacts: RetargetContacts[];
-  target_contacts: RetargetContacts[];
+  hands_off_cm: number | null;
+  contacts: RetargetContacts[];
   exports: string[];
   notes: string[];
 }

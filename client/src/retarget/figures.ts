@@ -56,12 +56,11 @@ export function slideColor(slide: number, theme: Theme): string {
   return `rgb(${a.map((channel, n) => Math.round(channel + u * (b[n] - channel))).join(" ")})`;
 }
 
-/** A lane for each foot: the source's contacts in the upper half, the target's in the lower. */
+/** A lane for each of the two, its left foot in the upper half and its right foot in the lower. */
 export function contactLanes(prints: Readonly<Record<SideName, readonly Print[]>>, theme: Theme): Lane[] {
   if (prints.source.length + prints.target.length === 0) return [];
-  return (["left", "right"] as const).map((foot) => ({
-    label: foot === "left" ? "L" : "R",
-    spans: SIDES.flatMap((side, n) => prints[side].filter((print) => print.side === foot).map((print) => [print.from, print.to, slideColor(print.slide, theme), (n + 1) as 1 | 2] as const)),
+  return SIDES.map((side) => ({
+    label: side === "source" ? "From" : "To",
+    spans: prints[side].map((print) => [print.from, print.to, slideColor(print.slide, theme), print.side === "left" ? 1 : 2] as const),
   }));
 }
-

@@ -3,14 +3,13 @@
 
 import * as THREE from "three";
 import { Clock } from "../anim/clock";
-import type { Actor } from "../view/actor";
+import type { RetargetContacts } from "../generated/messages";
+import type { Actor, Surface } from "../view/actor";
 import { NO_MARKS } from "../view/bones";
 import type { View } from "../view/camera";
 import type { Theme } from "../view/palette";
-import type { Surface } from "../view/actor";
 import { Viewport } from "../view/viewport";
 import { Prints } from "./prints";
-import type { RetargetContacts } from "../generated/messages";
 
 export const SIDES = ["source", "target"] as const;
 export type SideName = (typeof SIDES)[number];
@@ -77,7 +76,7 @@ export class Pair {
 
   contacts(side: SideName, found: readonly RetargetContacts[], start: number, rate: number): void {
     const actor = this.actor(side);
-    if (actor) this.prints[side].fit(actor, found, start, rate);
+    if (actor) this.prints[side].fit(actor, found.map((c) => ({ point: c.point, joint: side === "source" ? c.source_joint : c.target_joint, spans: c.spans })), start, rate);
     this.views[side].invalidate();
   }
 
@@ -109,10 +108,10 @@ export class Pair {
     }
   }
 
-  /** Joints that stand out on one side: those with a role, the hovered and the chosen one. */
-  mark(side: SideName, selected: ReadonlySet<number>, hovered: number, active: number): void {
+  /** Joints that stand out on one side: the hovered and the chosen one. */
+  mark(side: SideName, hovered: number, active: number): void {
     const view = this.views[side];
-    view.marks = { held: new Set(), selected, hovered, active };
+    view.marks = { ...NO_MARKS, hovered, active };
     view.paintJoints();
   }
 

@@ -2,13 +2,19 @@
 // fast the foot slides on it.
 
 import * as THREE from "three";
-import type { RetargetContacts } from "../generated/messages";
 import { Pose } from "../anim/rig";
 import { PRINT_SHAPE } from "../play/footprints";
 import type { Actor } from "../view/actor";
 
 /** From standing still to sliding, in cm/s for a leg of a person. */
 export const STILL = 1, SLIDING = 8;
+
+/** When a point of a foot is on the ground, as first and last frames in pairs, and the joint that stands for it. */
+export interface Contact {
+  point: string;
+  joint: string;
+  spans: readonly number[];
+}
 
 export interface Print {
   from: number;
@@ -77,9 +83,9 @@ export class Prints {
   }
 
   /** Find the prints of a character's contacts in the animation that it performs now. */
-  fit(actor: Actor, contacts: readonly RetargetContacts[], start: number, rate: number): void {
+  fit(actor: Actor, contacts: readonly Contact[], start: number, rate: number): void {
     const pose = new Pose(actor.rig.count, actor.morphNames.length), world = new Float64Array(12 * actor.rig.count);
-    const heel = new THREE.Vector3(), ball = new THREE.Vector3(), last = new THREE.Vector3();
+    const back = new THREE.Vector3(), tip = new THREE.Vector3(), last = new THREE.Vector3();
     const turn = new THREE.Quaternion(), up = new THREE.Vector3(0, 1, 0), matrix = new THREE.Matrix4();
     const found: { print: Print; matrix: THREE.Matrix4 }[] = [];
     for (const side of ["left", "right"] as const) {
@@ -87,9 +93,10 @@ export class Prints {
         const contact = contacts.find((c) => c.point === `${side}_${point}`);
         return contact ? { joint: actor.rig.index(contact.joint), spans: contact.spans } : null;
       };
-      const heels = jointOf("heel"), balls = jointOf("ball");
+      const ball = jointOf("ball"), balls = ball && ball.joint >= 0 ? ball : null;
+      const heels = jointOf("heel") ?? balls;
       if (!heels || heels.joint < 0) continue;
-      const front = balls && balls.joint >= 0 ? balls.joint : heels.joint;
+      const front = balls ? balls.joint : heels.joint;
       const down = (part: typeof heels, frame: number) => part !== null && within(part.spans, frame);
       for (const [first, final] of joined([...pairs(heels.spans), ...(balls ? pairs(balls.spans) : [])])) {
         // where the foot stands in the middle of its contact, and how far its carrying point goes meanwhile
@@ -98,26 +105,26 @@ export class Prints {
         for (let frame = first; frame <= final; frame += every) {
           actor.evaluate(start + frame / rate, pose, world);
           const carrier = balls && down(balls, frame) ? front : heels.joint;
-          actor.jointPosition(carrier, ball, world).setY(0);
+          actor.jointPosition(carrier, tip, world).setY(0);
           if (carrier === carried) {
-            way += ball.distanceTo(last);
+            way += tip.distanceTo(last);
             steps += every;
           }
           carried = carrier;
-          last.copy(ball);
+          last.copy(tip);
         }
         const slide = steps > 0 ? (100 * way * rate) / steps : 0;
         actor.evaluate(start + Math.round((first + final) / 2) / rate, pose, world);
-        actor.jointPosition(heels.joint, heel, world);
-        actor.jointPosition(front, ball, world);
+        actor.jointPosition(heels.joint, back, world);
+        actor.jointPosition(front, tip, world);
         const length = 0.15 * actor.height;
-        let yaw = Math.atan2(ball.x - heel.x, ball.z - heel.z);
+        let yaw = Math.atan2(tip.x - back.x, tip.z - back.z);
         if (front === heels.joint) {
           const o = 12 * heels.joint;
           yaw = Math.atan2(world[o + 6], world[o + 8]);
         }
         // a print reaches from behind the ankle to before the ball
-        const x = 0.5 * (heel.x + ball.x) + 0.12 * length * Math.sin(yaw), z = 0.5 * (heel.z + ball.z) + 0.12 * length * Math.cos(yaw);
+        const x = 0.5 * (back.x + tip.x) + 0.12 * length * Math.sin(yaw), z = 0.5 * (back.z + tip.z) + 0.12 * length * Math.cos(yaw);
         turn.setFromAxisAngle(up, yaw + Math.PI);
         matrix.compose(new THREE.Vector3(x, 0.004 * actor.height, z), turn, new THREE.Vector3(0.42 * length, 1, 1.12 * length));
         found.push({ print: { from: start + first / rate, to: start + (final + 1) / rate, side, slide }, matrix: matrix.clone() });

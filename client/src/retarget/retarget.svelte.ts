@@ -30,13 +30,14 @@ export interface Options {
   /** Null goes by the lengths of the legs. */
   scale: number | null;
   plant: boolean;
+  keepHands: boolean;
   sourceReference: "auto" | "rest" | "time";
   referenceTime: number;
   targetReference: "auto" | "rest";
   rate: number | null;
 }
 
-const PLAIN: Options = { scale: null, plant: true, sourceReference: "auto", referenceTime: 0, targetReference: "auto", rate: null };
+const PLAIN: Options = { scale: null, plant: true, keepHands: false, sourceReference: "auto", referenceTime: 0, targetReference: "auto", rate: null };
 const SETTLE_MS = 140;
 
 export class Retarget extends Player {
@@ -281,7 +282,7 @@ export class Retarget extends Player {
       if (key === this.fitted[side]) continue;
       this.fitted[side] = key;
       changed = true;
-      pair.contacts(side, done && motion ? (side === "source" ? done.source_contacts : done.target_contacts) : [], motion?.start ?? 0, done?.rate_hz ?? 1);
+      pair.contacts(side, done && motion ? done.contacts : [], motion?.start ?? 0, done?.rate_hz ?? 1);
     }
     if (changed) this.prints = { source: pair.prints.source.prints, target: pair.prints.target.prints };
   }
@@ -336,7 +337,7 @@ export class Retarget extends Player {
   }
 
   private asked(source: Subject, target: Subject): RetargetRequest {
-    const { scale, plant, sourceReference, referenceTime, targetReference, rate } = this.options;
+    const { scale, plant, keepHands, sourceReference, referenceTime, targetReference, rate } = this.options;
     return {
       type: "retarget",
       source: source.reference,
@@ -351,6 +352,7 @@ export class Retarget extends Player {
       target_reference: targetReference,
       scale,
       plant,
+      keep_hands: keepHands,
       rate_hz: rate,
     };
   }
@@ -454,8 +456,7 @@ export class Retarget extends Player {
     if (!picking || !pair || !rig) return;
     const table = this.table(picking);
     const index = (role: string | null) => (role !== null && table[role] !== undefined ? rig.index(table[role]) : -1);
-    const played = new Set(Object.values(table).map((joint) => rig.index(joint)));
-    pair.mark(picking, played, this.hoveredJoint >= 0 ? this.hoveredJoint : index(this.hoveredRole), index(this.role));
+    pair.mark(picking, this.hoveredJoint >= 0 ? this.hoveredJoint : index(this.hoveredRole), index(this.role));
   }
 
   hoverRole(role: string | null): void {
@@ -492,6 +493,12 @@ export class Retarget extends Player {
   mirror(from: "left" | "right"): void {
     const rig = this.actor(this.side)?.rig;
     if (rig) this.setMap(this.side, mirrored(this.table(this.side), from, rig), `Roles mirrored from the ${from}`);
+  }
+
+  /** The roles as they were found, though they are not those of a person: so they count as set by hand. */
+  useFound(side: SideName): void {
+    const found = this.found(side);
+    if (found) this.setMap(side, found.roles, "Roles as they were found");
   }
 
   resetRoles(): void {

@@ -69,7 +69,8 @@ export function spotOf(role: string): Spot {
   return spot;
 }
 
-export const isRole = (name: string): boolean => PLACES.has(name);
+/** Roles of a humanoid, and joints of further chains such as tail:1. */
+export const isRole = (name: string): boolean => PLACES.has(name) || /^[a-z_]+:\d+$/.test(name);
 
 /** "left_index_proximal" as "Left index, proximal". */
 export function labelOf(role: string): string {

@@ -135,11 +135,11 @@ function lanesOf(c: CanvasRenderingContext2D, width: number, height: number, col
     for (const [from, to, color, half] of spans) {
       c.fillStyle = color;
       c.beginPath();
-      c.roundRect(toX(from), half === 2 ? y + tall / 2 : y, Math.max(2, toX(to) - toX(from)), half === 0 ? tall : tall / 2, 1.5);
+      c.roundRect(toX(from), half === 2 ? y + tall / 2 + 0.5 : y, Math.max(2, toX(to) - toX(from)), half === 0 ? tall : tall / 2 - 0.5, 1.5);
       c.fill();
     }
     c.fillStyle = colors.faint;
-    c.fillText(label, 3, y + tall / 2 + 0.5);
+    c.fillText(label, 10, y + tall / 2 + 0.5);
   });
 }
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from keypose.errors import FormatError, KeyposeError, UnknownName
-from keypose.evaluate.performing import perform
 from keypose.io.native import document_bytes
 from keypose.model import Character, Clip, Document, Motion, Scene
 from keypose.project.commands import AddCharacter, Command, RemoveCharacter, SetCurves, import_clip
 from keypose.project.document import check_name, difference
 from keypose.project.workspace import UNTITLED, NotSaved, Workspace
+from keypose.rig import perform
 from keypose.studio import edit_messages as edits
 from keypose.studio import messages
 from keypose.studio.container import Body

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 RESULTS_KEPT = 8
 SAMPLES_KEPT = 12
 
+_ROLE_OF_POINT = {"heel": "foot", "ball": "toes"}
+
 _REFUSALS = (KeyposeError, ValueError, MemoryError, OSError)
 
 
@@ -125,7 +127,7 @@ class Retargeting:
         label = f"Retarget {motion.name}"[:120]
         editing = self._session.editing
         result = await editing.change(lambda document: performance_commands(document, scene), label)
-        return result if result.error else replace(result, report=next(reversed(editing.workspace.document.characters)))
+        return result if result.error else replace(result, report=list(editing.workspace.document.characters)[-1])
 
     # ---- doing -------------------------------------------------------------------------------------------------------
 
@@ -145,30 +147,35 @@ class Retargeting:
 
     def _retargeted(self, asked: r.RetargetRequest, source: Scene, target: Scene) -> r.RetargetDone:
         from keypose.editing.planting import PlantOptions
-        from keypose.retarget import retarget
+        from keypose.retarget import HandOptions, ground_under, retarget
 
         own, other = _character(source, asked.source_character), _character(target, asked.target_character)
         began = time.perf_counter()
         motion = _as_motion(_animation(source, asked.animation), own, asked.rate_hz)
 
-        def run(plant: PlantOptions | None) -> RetargetResult:
+        roles = _roles(own, asked.source_roles), _roles(other, asked.target_roles)
+        source_reference = _reference(own, roles[0], motion, asked.source_reference, asked.reference_s)
+        target_reference = _reference(other, roles[1], None, asked.target_reference, 0.0)
+
+        def run(plant: PlantOptions | None, hands: HandOptions | None) -> RetargetResult:
             return retarget(
                 motion,
                 own.skeleton,
                 other.skeleton,
-                source_roles=_roles(own, asked.source_roles),
-                target_roles=_roles(other, asked.target_roles),
-                source_reference=_reference(own, motion, asked.source_reference, asked.reference_s),
-                target_reference=other.skeleton.rest if asked.target_reference == "rest" else None,
+                source_roles=roles[0],
+                target_roles=roles[1],
+                source_reference=source_reference,
+                target_reference=target_reference,
                 target_motion=_own_motion(target, other),
-                target_ground_m=ground_height(other),
+                target_ground_m=ground_under(other, target_reference),
                 scale=asked.scale,
                 plant=plant,
+                hands=hands,
             )
 
-        done = run(PlantOptions() if asked.plant else None)
+        done = run(PlantOptions() if asked.plant else None, HandOptions() if asked.keep_hands else None)
         took = time.perf_counter() - began
-        loose = run(None).report.slide_cm_s if asked.plant else done.report.slide_cm_s
+        loose = run(None, None).report.slide_cm_s if asked.plant else done.report.slide_cm_s
         name = _animation(source, asked.animation).name or PurePath(asked.source.removeprefix("sample:")).stem
         result = replace(done.motion, name=name)
         kept = self._keep(Scene((other,), (result,), format="retarget", unit_m=target.unit_m), name)
@@ -190,8 +197,8 @@ class Retargeting:
             worst_slide_cm_s=float(report.worst_slide_cm_s),
             sink_cm=float(report.sink_cm),
             contact_frames=int(report.contact_frames),
-            source_contacts=_contacts(done.source, motion),
-            target_contacts=_contacts(done.target, result),
+            hands_off_cm=report.hands_off_cm,
+            contacts=_contacts(done),
             exports=_kinds(),
             notes=list(done.notes),
         )
@@ -235,16 +242,6 @@ def find_character_roles(character: Character, known: Mapping[str, int] | None =
     # what a person says counts more than what the file says
     file_says = {role: joint for role, joint in character.roles.items() if joint not in (known or {}).values()}
     return find_roles(character.skeleton, known={**file_says, **(known or {})} or None)
-
-
-def ground_height(character: Character) -> float | None:
-    """The lowest point of a character's skinned surface at rest: what stands on the ground; None without one."""
-    from keypose import deform, evaluate
-
-    if not any(part.skin is not None for part in character.parts):
-        return None
-    standing = deform.deform_character(character, evaluate.world(character.skeleton, character.skeleton.rest))
-    return min((float(vertices[:, 1].min()) for vertices in standing if len(vertices)), default=None)
 
 
 def _kinds() -> list[str]:
@@ -297,11 +294,16 @@ def _as_motion(animation: Motion | Clip, character: Character, rate_hz: float | 
     return motion if rate_hz is None or rate_hz == motion.rate_hz else resample(motion, rate_hz)
 
 
-def _reference(character: Character, motion: Motion, kind: str, time_s: float) -> Pose | None:
-    if kind == "auto":
-        return None
+def _reference(
+    character: Character, roles: RoleMap | None, motion: Motion | None, kind: str, time_s: float
+) -> Pose | None:
+    """The pose that is taken for an upright stand; None leaves it to retargeting."""
+    from keypose.retarget import bind_stand
+
     if kind == "rest":
         return character.skeleton.rest
+    if kind == "auto" or motion is None:
+        return None if roles is None or "hips" not in roles.roles else bind_stand(character, roles.roles)
     frame = int(np.clip(round((time_s - motion.start_s) * motion.rate_hz), 0, motion.frame_count - 1))
     pose = motion.pose.broadcast()
     return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame])
@@ -313,23 +315,42 @@ def _own_motion(scene: Scene, character: Character) -> Motion | None:
     return next((a for a in scene.animations if isinstance(a, Motion) and a.joint_names == names), None)
 
 
-def _contacts(body: BodyFrames, motion: Motion) -> list[r.RetargetContacts]:
-    """When the feet of a body touch the ground in its own motion."""
-    from keypose.analysis.contacts import foot_contacts
-    from keypose.evaluate import world_rotations_positions
+def _contacts(done: RetargetResult) -> list[r.RetargetContacts]:
+    """When and with which joints feet touch the ground."""
 
-    places = np.asarray(world_rotations_positions(body.skeleton, motion.pose.broadcast())[1], np.float64)
-    touching = foot_contacts(body.roles, places, motion.rate_hz, body.leg_m)
-    role_of = {"heel": "foot", "ball": "toes"}
+    def joint_of(body: BodyFrames, role: str) -> str:
+        return body.skeleton.names[body.roles[role]] if role in body.roles else ""
+
     found: list[r.RetargetContacts] = []
-    for point, track in touching.items():
+    for point, track in done.touching.items():
         side, _, part = point.partition("_")
-        joint = body.roles[f"{side}_{role_of[part]}"]
+        role = f"{side}_{_ROLE_OF_POINT.get(part, part)}"
         edges = np.flatnonzero(np.diff(np.concatenate([[False], track, [False]]).astype(np.int8)))
         spans = [int(n) for first, after in zip(edges[::2], edges[1::2], strict=True) for n in (first, after - 1)]
-        found.append(r.RetargetContacts(point, body.skeleton.names[joint], spans))
+        found.append(r.RetargetContacts(point, joint_of(done.source, role), joint_of(done.target, role), spans))
     return found
 
 
 def _refused(error: str) -> r.RetargetDone:
-    return r.RetargetDone("", None, error, "", 0, 0.0, 0.0, 1.0, {}, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, [], [], [], [])
+    return r.RetargetDone(
+        id="",
+        scene=None,
+        error=error,
+        name="",
+        frames=0,
+        rate_hz=0.0,
+        took_s=0.0,
+        scale=1.0,
+        direction_deg={},
+        mean_direction_deg=0.0,
+        source_slide_cm_s=0.0,
+        loose_slide_cm_s=0.0,
+        slide_cm_s=0.0,
+        worst_slide_cm_s=0.0,
+        sink_cm=0.0,
+        contact_frames=0,
+        hands_off_cm=None,
+        contacts=[],
+        exports=[],
+        notes=[],
+    )

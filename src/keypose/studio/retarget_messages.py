@@ -54,6 +54,7 @@ class RetargetRequest:
     target_reference: Literal["auto", "rest"]
     scale: float | None
     plant: bool
+    keep_hands: bool
     rate_hz: float | None
 
 
@@ -85,10 +86,14 @@ class RetargetSubject:
 
 @dataclass(frozen=True, slots=True)
 class RetargetContacts:
-    """When a point of a foot touches the ground: ``spans`` are first and last frames, in pairs, one after the other."""
+    """When a point of a foot touches the ground in the source, and the joints that stand for it (empty where none does).
+
+    ``spans`` are first and last frames, in pairs, one after the other.
+    """
 
     point: str
-    joint: str
+    source_joint: str
+    target_joint: str
     spans: list[int]
 
 
@@ -97,7 +102,8 @@ class RetargetDone:
     """The motion on the target and its figures; ``error`` says why there is none.
 
     ``direction_deg``: bone -> mean angle between its directions on both bodies. Sliding of feet in contact in cm/s: of the
-    source, of the target before its feet were planted, and after. ``contacts`` are those of each body's own motion.
+    source, of the target before its feet were planted, and after. ``hands_off_cm``: how far hands are from the places
+    beside body and head that they were to keep, None where they were not.
     """
 
     id: str
@@ -116,7 +122,7 @@ class RetargetDone:
     worst_slide_cm_s: float
     sink_cm: float
     contact_frames: int
-    source_contacts: list[RetargetContacts]
-    target_contacts: list[RetargetContacts]
+    hands_off_cm: float | None
+    contacts: list[RetargetContacts]
     exports: list[str]
     notes: list[str]
