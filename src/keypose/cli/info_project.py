@@ -8,7 +8,7 @@ from keypose.cli.inputs import file_word
 
 
 def print_project(out: Any, project: dict[str, Any]) -> None:
-    """Clips with their keys, timelines and who performs them, poses."""
+    """Clips with their keys, timelines and who performs them, poses, rigs."""
     from rich.markup import escape
 
     out.print(
@@ -27,3 +27,7 @@ def print_project(out: Any, project: dict[str, Any]) -> None:
         )
     if project["poses"]:
         out.print(f"    {file_word(len(project['poses']), 'pose')}: {escape(', '.join(project['poses'][:24]))}")
+    for rig in project["rigs"]:
+        out.print(
+            f"    rig {escape(rig['name'])}: {file_word(rig['controls'], 'control')} of {escape(rig['character'])}"
+        )

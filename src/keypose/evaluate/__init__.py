@@ -17,6 +17,7 @@ from keypose.evaluate.timeline import (
     placement_times,
     sample_timeline,
     sample_timeline_morphs,
+    sample_timeline_values,
     value_for_result,
 )
 
@@ -50,6 +51,7 @@ __all__ = [
     "sample_motion",
     "sample_timeline",
     "sample_timeline_morphs",
+    "sample_timeline_values",
     "sample_value",
     "snap_to_keys",
     "to_clip",

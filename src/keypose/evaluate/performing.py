@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 from keypose.evaluate.baking import to_clip
@@ -24,14 +24,22 @@ BASE_LAYER = "Base"
 FILM_HZ = 25.0
 """Frames per second of new clips and timelines: film's (lecture notes)."""
 
+Solver = Callable[[Document, Timeline, Character, float | None], Motion | None]
+"""What moves a character in another way than its timeline's joint channels alone, as a rig does; None where nothing does."""
+
 
 def perform(
-    document: Document, character: str | None = None, timeline: str | None = None, rate_hz: float | None = None
+    document: Document,
+    character: str | None = None,
+    timeline: str | None = None,
+    rate_hz: float | None = None,
+    solver: Solver | None = None,
 ) -> Scene:
     """The characters of a document with what their timelines make of them, then the clips that no timeline uses.
 
-    A timeline that only plays a clip as it is gives that clip, with its keys; any other is baked at its rate or ``rate_hz``. With ``character``, that one alone with its own ``timeline`` (or another one that is named),
-    and nothing else.
+    A timeline that only plays a clip as it is gives that clip, with its keys; any other is baked at its rate or ``rate_hz``.
+    With ``character``, that one alone with its own ``timeline`` (or another one that is named), and nothing else. Rigs are known
+    to `keypose.rig.perform`, which gives its ``solver``.
 
     Raises:
         UnknownName: for a character, timeline or clip that is not there.
@@ -40,7 +48,7 @@ def perform(
     if character is not None:
         who = document.character(character)
         name = document.performs.get(character, "") if timeline is None else timeline
-        performed = () if not name else (performance(document, document.timeline(name), who, rate_hz),)
+        performed = () if not name else (performance(document, document.timeline(name), who, rate_hz, solver),)
         return Scene((who,), performed, format="keypose")
     animations: list[Clip | Motion] = []
     used: set[str] = set()
@@ -48,13 +56,17 @@ def perform(
         used |= {p.animation for layer in track.layers for p in layer.placements}
         who = next((c for c, t in document.performs.items() if t == name), None)
         if who is not None:
-            animations.append(performance(document, track, document.character(who), rate_hz))
+            animations.append(performance(document, track, document.character(who), rate_hz, solver))
     animations += [clip for name, clip in document.clips.items() if name not in used]
     return Scene(tuple(document.characters.values()), tuple(animations), format="keypose")
 
 
 def performance(
-    document: Document, timeline: Timeline, character: Character, rate_hz: float | None = None
+    document: Document,
+    timeline: Timeline,
+    character: Character,
+    rate_hz: float | None = None,
+    solver: Solver | None = None,
 ) -> Clip | Motion:
     """What a timeline makes of a character: the clip that it only plays, or a motion baked from its start to its end.
 
@@ -62,6 +74,9 @@ def performance(
         UnknownName: where a placement names no clip.
         ShapeError: where the rate is not positive.
     """
+    solved = None if solver is None else solver(document, timeline, character, rate_hz)
+    if solved is not None:
+        return replace(solved, name=timeline.name)
     alone = None if rate_hz is not None else _only_clip(document, timeline)
     if alone is not None:
         return alone

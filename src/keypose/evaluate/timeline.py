@@ -19,7 +19,7 @@ from keypose.arrays import Array, as_float, checked, namespace, unified
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.matching import match, match_report
-from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
+from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion, sample_value
 from keypose.math import ease, quat
 from keypose.model import (
     Clip,
@@ -75,15 +75,26 @@ def sample_timeline_morphs(
         ShapeError: where a time is not finite or rest has another length.
         UnknownName: where a placement names no animation.
     """
-    times = exposed_times(timeline, times_s)
     base: Array = np.zeros(len(morph_names), np.float32) if rest is None else as_float(rest)
     checked(base, (len(morph_names),), "rest", "morph_names")
-    field = _Field("morphs", base[:, None], base[:, None])
-    for layer in _audible(timeline):
-        drive = _layer_morphs(layer, animations, morph_names, base, times)
-        if drive is not None:
-            field = _joined(field, layer.mode, drive)
-    return _over(times, field.value, field.rest)[..., 0]
+    return _sample_numbers(timeline, animations, Property.WEIGHT, morph_names, times_s, base)
+
+
+def sample_timeline_values(
+    timeline: Timeline, animations: Animations, names: Sequence[str], times_s: Any, rest: Array
+) -> Array:
+    """Named numbers (`Property.VALUE` channels of one component) at times of any shape; what no layer drives is at ``rest``.
+
+    Shapes: ``times_s`` (*B,), ``names`` M names, ``rest`` (M,); returns (*B, M) float64. An ADD layer adds how far its value
+    is from rest. Values of several components, such as colours, count as not driven.
+
+    Raises:
+        ShapeError: where a time is not finite or rest has another length.
+        UnknownName: where a placement names no animation.
+    """
+    base: Array = np.asarray(rest, np.float64)
+    checked(base, (len(names),), "rest", "names")
+    return _sample_numbers(timeline, animations, Property.VALUE, names, times_s, base)
 
 
 def bake_timeline(
@@ -344,20 +355,39 @@ def _layer_drive(layer: Layer, animations: Animations, skeleton: Skeleton, times
     return {name: _Drive(drive.value, drive.amount * scale) for name, drive in drives.items()}
 
 
-def _layer_morphs(
-    layer: Layer, animations: Animations, names: Sequence[str], rest: Array, times: Array
+def _sample_numbers(
+    timeline: Timeline, animations: Animations, kind: Property, names: Sequence[str], times_s: Any, rest: Array
+) -> Array:
+    """Morph weights or values through the layers, (*B, M)."""
+    times = exposed_times(timeline, times_s)
+    field = _Field("morphs", rest[:, None], rest[:, None])
+    for layer in _audible(timeline):
+        drive = _layer_numbers(layer, animations, kind, names, rest, times)
+        if drive is not None:
+            field = _joined(field, layer.mode, drive)
+    return _over(times, field.value, field.rest)[..., 0]
+
+
+def _layer_numbers(
+    layer: Layer, animations: Animations, kind: Property, names: Sequence[str], rest: Array, times: Array
 ) -> _Drive | None:
-    if layer.properties is not None and Property.WEIGHT not in layer.properties:
+    if layer.properties is not None and kind not in layer.properties:
         return None
     field, drive = _Field("morphs", rest[:, None], rest[:, None]), None
     for animation, own, weight in _active(layer, animations, times):
-        driven = (
-            set(animation.morph_names)
-            if isinstance(animation, Motion)
-            else {c.target for c in animation.curves if c.property is Property.WEIGHT}
-        )
-        mask = np.array([[1.0 if name in driven else 0.0] for name in names])
-        values = sample_morphs(animation, names, own, rest)[..., None]
+        if isinstance(animation, Motion):
+            driven = set(animation.morph_names) if kind is Property.WEIGHT else set[str]()
+        else:
+            single = {c: v for c, v in animation.curves.items() if c.property is kind and v.values.shape[1] == 1}
+            driven = {c.target for c in single if c.component is None}
+        mask = np.array([[1.0 if name in driven else 0.0] for name in names]).reshape(-1, 1)
+        if kind is Property.WEIGHT:
+            values = sample_morphs(animation, names, own, rest)[..., None]
+        else:
+            values = np.broadcast_to(rest[:, None], (*own.shape, len(names), 1)).copy()
+            for n, name in enumerate(names):
+                if name in driven and isinstance(animation, Clip):
+                    values[..., n, :] = sample_value(animation, name, own)
         drive = _laid_over(field, drive, _Drive(values, weight[..., None, None] * mask))
     if drive is None:
         return None

@@ -26,17 +26,18 @@ from keypose.io import atomic
 from keypose.io import native_values as values
 from keypose.io.json_values import Json, parse_json
 from keypose.io.native_characters import character_json, read_character
+from keypose.io.native_rigs import read_rig, rig_json
 from keypose.io.tensors import pack_tensors, unpack_tensors
 from keypose.model import Document, Motion, Scene
 
-VERSION = 1
-"""Of the schema that is written."""
+VERSION = 2
+"""Of the schema: 2 knows rigs. A document that has none is written as version 1, which older programs open."""
 
 KEY = "keypose_project"
 CHECKSUM = "keypose_checksum"
 LARGEST_BYTES = 8 << 30
 
-MIGRATIONS: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {}
+MIGRATIONS: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: lambda fields: {**fields, "version": 2}}
 """Version -> what makes the next version's JSON of it. Arrays are never touched, so their names stay."""
 
 
@@ -83,7 +84,7 @@ def document_bytes(document: Document) -> bytes:
     """
     store = Storing()
     fields = {
-        "version": VERSION,
+        "version": _version(document),
         "name": document.name,
         "characters": [character_json(character, store) for character in document.characters.values()],
         "clips": [values.clip_json(clip, store) for clip in document.clips.values()],
@@ -92,8 +93,14 @@ def document_bytes(document: Document) -> bytes:
         "performs": dict(document.performs),
         "settings": {name: setting_json(value) for name, value in document.settings.items()},
     }
+    if document.rigs:
+        fields["rigs"] = [rig_json(rig, store) for rig in document.rigs.values()]
     text = json_text(fields)
     return pack_tensors(store.arrays, {KEY: text, CHECKSUM: _checksum(text, store.arrays)})
+
+
+def _version(document: Document) -> int:
+    return 2 if document.rigs else 1
 
 
 def _checksum(text: str, arrays: Mapping[str, Array]) -> str:
@@ -143,6 +150,7 @@ def document_from_bytes(data: bytes | memoryview) -> Document:
         "clips": [values.read_clip(each, fetch) for each in root.items("clips")],
         "timelines": [values.read_timeline(each, fetch) for each in root.items("timelines")],
         "poses": [values.read_pose(each) for each in root.items("poses")],
+        "rigs": [read_rig(each, fetch) for each in root.items("rigs")],
     }
     named: dict[str, dict[str, Any]] = {}
     for kind, items in found.items():
@@ -185,14 +193,14 @@ def read_document(path: Path) -> Document:
 
 
 def read(path: Path) -> Scene:
-    """The characters of a project, what its timelines make of them, and its other clips (`evaluate.perform`).
+    """The characters of a project, what its timelines make of them, and its other clips (`rig.perform`).
 
     ``extras["project"]`` says what the project holds: clips with their keys, timelines, poses and performances.
 
     Raises:
         FormatError: where the file is damaged, with the place.
     """
-    from keypose.evaluate.performing import perform
+    from keypose.rig import perform
 
     document = read_document(path)
     try:
@@ -206,7 +214,7 @@ def summary(document: Document) -> dict[str, Any]:
     """What a project holds, in names and numbers."""
     return {
         "name": document.name,
-        "version": VERSION,
+        "version": _version(document),
         "characters": [
             {"name": name, "joints": who.skeleton.joint_count, "timeline": document.performs.get(name)}
             for name, who in document.characters.items()
@@ -227,6 +235,10 @@ def summary(document: Document) -> dict[str, Any]:
             for name, track in document.timelines.items()
         ],
         "poses": list(document.poses),
+        "rigs": [
+            {"name": name, "character": rig.character, "controls": rig.controls.joint_count}
+            for name, rig in document.rigs.items()
+        ],
     }
 
 

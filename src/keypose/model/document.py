@@ -14,6 +14,7 @@ from keypose.errors import ShapeError, UnknownName
 from keypose.model.character import Character
 from keypose.model.curve import Clip
 from keypose.model.pose import Pose
+from keypose.model.rig import Rig
 from keypose.model.timeline import Timeline
 
 
@@ -51,14 +52,15 @@ class StoredPose:
         object.__setattr__(self, "morphs", MappingProxyType({n: float(w) for n, w in self.morphs.items()}))
 
 
-_NAMED = ("characters", "clips", "timelines", "poses")
+_NAMED = ("characters", "clips", "timelines", "poses", "rigs")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Document:
-    """Characters, clips, timelines and poses by name, and which timeline moves which character.
+    """Characters, clips, timelines, poses and rigs by name, and which timeline moves which character.
 
-    The placements of timelines name clips; ``performs`` is character -> timeline. ``settings`` are texts, numbers and
+    The placements of timelines name clips; ``performs`` is character -> timeline; a rig names the character that it moves, and a
+    character has one rig at most. ``settings`` are texts, numbers and
     truths that an editor keeps with the project. Nothing is ever changed in place, so two documents share what they have
     in common, and keeping many costs little.
 
@@ -73,6 +75,7 @@ class Document:
     poses: Mapping[str, StoredPose] = field(default_factory=_nothing)
     performs: Mapping[str, str] = field(default_factory=_nothing)
     settings: Mapping[str, str | float | bool] = field(default_factory=_nothing)
+    rigs: Mapping[str, Rig] = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
         for kind in _NAMED:
@@ -99,6 +102,14 @@ class Document:
     def pose(self, name: str) -> StoredPose:
         """One pose of the library; raises `UnknownName` with the nearest."""
         return _found("pose", name, self.poses)
+
+    def rig(self, name: str) -> Rig:
+        """One rig; raises `UnknownName` with the nearest."""
+        return _found("rig", name, self.rigs)
+
+    def rig_of(self, character: str) -> Rig | None:
+        """The rig that moves a character, or None where it has none."""
+        return next((rig for rig in self.rigs.values() if rig.character == character), None)
 
 
 def _found(kind: str, name: str, known: Mapping[str, Any]) -> Any:

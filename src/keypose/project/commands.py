@@ -16,8 +16,9 @@ from keypose.evaluate.performing import FILM_HZ
 from keypose.io import native_values as values
 from keypose.io.json_values import Json
 from keypose.io.native_characters import character_json, read_character
+from keypose.io.native_rigs import read_rig, rig_json
 from keypose.io.native_values import Fetch, Store
-from keypose.model import Channel, Character, Clip, Curve, Document, Motion, Placement, StoredPose, Timeline
+from keypose.model import Channel, Character, Clip, Curve, Document, Motion, Placement, Rig, StoredPose, Timeline
 from keypose.project.document import add_character, check, check_name, import_animation, renamed
 
 
@@ -181,6 +182,41 @@ class RemovePose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SetRig:
+    """Give a character a rig, in place of the one of its name."""
+
+    kind: ClassVar[str] = "set_rig"
+    rig: Rig
+
+    def apply(self, document: Document) -> Document:
+        """The document with the rig."""
+        check_name(self.rig.name, "rig")
+        document.character(self.rig.character)
+        return replace(document, rigs={**document.rigs, self.rig.name: self.rig})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "rig": rig_json(self.rig, store)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoveRig:
+    """Take a rig off its character; keys on its controls stay in their clips and move nothing."""
+
+    kind: ClassVar[str] = "remove_rig"
+    name: str
+
+    def apply(self, document: Document) -> Document:
+        """The document without the rig."""
+        document.rig(self.name)
+        return replace(document, rigs={name: rig for name, rig in document.rigs.items() if name != self.name})
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SetPerformance:
     """Let a timeline move a character; none where ``timeline`` is empty."""
 
@@ -203,7 +239,7 @@ class SetPerformance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rename:
-    """Give a project, character, clip, timeline or pose another name; whatever names it follows."""
+    """Give a project, character, clip, timeline, pose or rig another name; whatever names it follows."""
 
     kind: ClassVar[str] = "rename"
     what: str
@@ -230,6 +266,9 @@ class Rename:
             changes["performs"] = {who: to if t == name else t for who, t in document.performs.items()}
         elif self.what == "character":
             changes["performs"] = {to if who == name else who: t for who, t in document.performs.items()}
+            changes["rigs"] = {
+                key: replace(rig, character=to) if rig.character == name else rig for key, rig in document.rigs.items()
+            }
         return replace(document, **changes)
 
     def to_json(self, store: Store) -> dict[str, Any]:
@@ -237,7 +276,7 @@ class Rename:
         return {"kind": self.kind, "what": self.what, "name": self.name, "to": self.to}
 
 
-_KINDS = {"character": "characters", "clip": "clips", "timeline": "timelines", "pose": "poses"}
+_KINDS = {"character": "characters", "clip": "clips", "timeline": "timelines", "pose": "poses", "rig": "rigs"}
 
 Setting = str | float | bool
 
@@ -280,7 +319,7 @@ class AddCharacter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemoveCharacter:
-    """Remove a character; its timeline and clips stay."""
+    """Remove a character and its rig; its timeline and clips stay."""
 
     kind: ClassVar[str] = "remove_character"
     name: str
@@ -290,7 +329,8 @@ class RemoveCharacter:
         document.character(self.name)
         characters = {name: c for name, c in document.characters.items() if name != self.name}
         performs = {who: timeline for who, timeline in document.performs.items() if who != self.name}
-        return replace(document, characters=characters, performs=performs)
+        rigs = {key: rig for key, rig in document.rigs.items() if rig.character != self.name}
+        return replace(document, characters=characters, performs=performs, rigs=rigs)
 
     def to_json(self, store: Store) -> dict[str, Any]:
         """The fields."""
@@ -357,6 +397,8 @@ _READERS: dict[str, Callable[[Json, Fetch], Command]] = {
     RemoveTimeline.kind: lambda item, fetch: RemoveTimeline(item.text("name")),
     SetPose.kind: lambda item, fetch: SetPose(values.read_pose(item.need("pose"))),
     RemovePose.kind: lambda item, fetch: RemovePose(item.text("name")),
+    SetRig.kind: lambda item, fetch: SetRig(read_rig(item.need("rig"), fetch)),
+    RemoveRig.kind: lambda item, fetch: RemoveRig(item.text("name")),
     SetPerformance.kind: lambda item, fetch: SetPerformance(item.text("character"), item.text("timeline")),
     Rename.kind: lambda item, fetch: Rename(item.text("what"), item.text("name"), item.text("to")),
     SetSettings.kind: lambda item, fetch: SetSettings(_settings(item)),

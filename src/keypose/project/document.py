@@ -19,8 +19,10 @@ from keypose.model import (
     Layer,
     Motion,
     Placement,
+    Rig,
     Timeline,
 )
+from keypose.rig.plan import check_rig
 
 LARGEST_SETTINGS = 1 << 20
 
@@ -66,8 +68,9 @@ def check(document: Document) -> None:
     """Whether all names that the document uses are there.
 
     Raises:
-        UnknownName: where a placement names no clip, or a performance no character or timeline; names the nearest.
-        ShapeError: where a setting is not finite, or they are too large.
+        UnknownName: where a placement names no clip, a performance no character or timeline, or a rig no character or joint;
+            names the nearest.
+        ShapeError: where a setting is not finite, they are too large, or two rigs move one character.
     """
     for timeline in document.timelines.values():
         for layer in timeline.layers:
@@ -76,6 +79,12 @@ def check(document: Document) -> None:
     for character, timeline in document.performs.items():
         document.character(character)
         document.timeline(timeline)
+    moved: dict[str, str] = {}
+    for name, rig in document.rigs.items():
+        if rig.character in moved:
+            raise ShapeError(f"rigs '{moved[rig.character]}' and '{name}': both move character '{rig.character}'")
+        moved[rig.character] = name
+        check_rig(rig, document.character(rig.character).skeleton)
     size = sum(len(name) + (len(value) if isinstance(value, str) else 8) for name, value in document.settings.items())
     if size > LARGEST_SETTINGS:
         raise ShapeError(f"settings: {size} characters; at most {LARGEST_SETTINGS}")
@@ -111,6 +120,8 @@ class Difference:
     removed_poses: tuple[str, ...] = ()
     characters: bool = False
     settings: bool = False
+    rigs: tuple[Rig, ...] = ()
+    removed_rigs: tuple[str, ...] = ()
 
 
 def difference(before: Document, after: Document) -> Difference:
@@ -137,6 +148,8 @@ def difference(before: Document, after: Document) -> Difference:
         _gone(before.poses, after.poses),
         dict(before.characters) != dict(after.characters) or dict(before.performs) != dict(after.performs),
         dict(before.settings) != dict(after.settings),
+        _changed(before.rigs, after.rigs),
+        _gone(before.rigs, after.rigs),
     )
 
 
