@@ -258,6 +258,77 @@ def convert(
 
 @app.command(
     epilog=_examples(
+        "keypose edit walk.bvh out.bvh --reach left_hand@120=0.3,1.4,0.2",
+        "keypose edit sample:walk out.glb --reach right_foot@40-60=+0,0.1,0 --ease 0.3",
+        "keypose edit sample:walk circle.mp4 --loop [dim]# the straight walk round a circle, feet planted[/dim]",
+        "keypose edit walk.bvh out.bvh --follow '0,0 0,1 1,2 3,2' --speed 1.2m/s",
+        "keypose edit walk.bvh out.bvh --reach left_hand@60=0.3,0.3,0.5 --spacetime [dim]# with the whole body[/dim]",
+    )
+)
+def edit(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    reach: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reach",
+            metavar="JOINT@FRAMES=PLACE",
+            help="A joint or role is at X,Y,Z metres in a frame or in frames FIRST-LAST; +X,Y,Z counts from where it is.",
+        ),
+    ] = None,
+    turn: Annotated[
+        list[str] | None,
+        typer.Option("--turn", metavar="JOINT@FRAME=X,Y,Z", help="A joint turned by degrees, less and less around."),
+    ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option("--keep", metavar="JOINT", help="With --turn and --spacetime: what stays where it is."),
+    ] = None,
+    ease: Annotated[float, typer.Option("--ease", help="Seconds in which an edit comes and goes.", min=0)] = 0.4,
+    spacetime: Annotated[
+        bool, typer.Option("--spacetime", help="Reach with the whole body, changing as little as possible; feet stay.")
+    ] = False,
+    bend: Annotated[float | None, typer.Option("--bend", help="Degrees that the way turns more, to the left.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Close the way to a loop.")] = False,
+    follow: Annotated[
+        str | None, typer.Option("--follow", metavar="'X,Z X,Z ...'", help="A way drawn by places on the ground.")
+    ] = None,
+    stride: Annotated[float | None, typer.Option("--stride", help="How much longer steps are.", min=0.01)] = None,
+    speed: Annotated[
+        str | None, typer.Option("--speed", metavar="SPEED", help="A factor such as 1.5, or a speed such as 1.2m/s.")
+    ] = None,
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Edit a motion by constraints: its speed, then its path, then poses, then places to reach; frames are the result's."""
+    from keypose.cli.edit import Edits, edit_file
+
+    edits = Edits(reach or (), turn or (), keep or (), ease, spacetime, bend, loop, follow, stride, speed)
+    edit_file(
+        motion,
+        output,
+        edits,
+        clip=clip,
+        rate_hz=rate,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        options=option or (),
+        quiet=quiet,
+    )
+
+
+@app.command(
+    epilog=_examples(
         "keypose retarget walk.bvh --to hero.glb hero-walking.glb",
         "keypose retarget 02_01.amc --to sample:human walk.mp4 [dim]# look at it at once[/dim]",
         "keypose roles hero.glb map.json && keypose retarget run.fbx --to hero.glb out.glb --to-roles map.json",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.editing.constraints import Constraint, Place
+from keypose.editing.constraints import Constraint, Place, kept_in_place
 from keypose.editing.falloff import FALL_OFFS, edit_pose, with_joints
 from keypose.editing.framed import clip_rate, edit_frames
 from keypose.editing.operator_types import Operated, Operator, Parameter, number
@@ -147,7 +147,7 @@ def _run_spacetime(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapp
         wanted: list[Constraint] = [Place(joint, at, places[at - window[0], number] + (p["x_m"], p["y_m"], p["z_m"]))]
         if p["keep_feet"]:
             feet = [roles[f] for f in FEET if f in roles and roles[f] != number]
-            wanted += [Place(skeleton.names[f], span, places[:, f]) for f in feet]
+            wanted += kept_in_place(motion, skeleton, [skeleton.names[f] for f in feet], span)
         done = solve_spacetime(motion, skeleton, window, wanted, roles=roles)
         rest = "" if done.converged else "; not at rest yet"
         said.append(f"{joint} {_missed(float(done.error[0].max()))} after {len(done.costs) - 1} last steps{rest}")

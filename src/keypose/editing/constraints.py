@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +11,9 @@ import numpy as np
 from keypose.arrays import Floats, Ints
 from keypose.editing.reach import joint_of
 from keypose.errors import ShapeError
+from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
-from keypose.model import Skeleton
+from keypose.model import Motion, Skeleton
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +50,20 @@ class Hold:
 
 
 Constraint = Place | Turn | Hold
+
+
+def kept_in_place(motion: Motion, skeleton: Skeleton, joints: Sequence[str], frames: Any) -> list[Constraint]:
+    """Hard constraints that keep joints where they are in a motion in frames (N,), turned as they are; joints by name.
+
+    Raises:
+        UnknownName: for a joint that is not there.
+    """
+    at = np.asarray(frames)
+    turned, places = world_rotations_positions(skeleton, motion.pose.broadcast())
+    found: list[Constraint] = []
+    for name, joint in zip(joints, skeleton.indices(joints), strict=True):
+        found += [Place(name, at, places[at, joint]), Turn(name, at, turned[at, joint])]
+    return found
 
 
 class ConstraintRows:

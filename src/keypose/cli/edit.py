@@ -1,0 +1,269 @@
+"""`keypose edit`: a motion changed by constraints (places to reach, another path, another speed), with the figures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from keypose.cli.console import Progress, console, progress_bar
+from keypose.cli.convert import not_an_input
+from keypose.cli.inputs import open_input
+from keypose.errors import FormatError, ShapeError
+from keypose.model import Clip, Motion, Scene, Skeleton
+
+if TYPE_CHECKING:
+    from keypose.editing.reach import Reach
+
+FILMS = (".png", ".gif", ".mp4", ".webm")
+_REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
+_TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
+_SPEED = re.compile(r"^(?P<number>[0-9.eE+-]+)(?P<unit>|x|m/s)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Edits:
+    """What is asked for, as the command line says it."""
+
+    reaches: Sequence[str] = ()
+    turns: Sequence[str] = ()
+    keep: Sequence[str] = ()
+    ease_s: float = 0.4
+    spacetime: bool = False
+    bend_deg: float | None = None
+    loop: bool = False
+    follow: str | None = None
+    stride: float | None = None
+    speed: str | None = None
+
+
+def edit_file(
+    source: str,
+    output: Path,
+    edits: Edits,
+    *,
+    clip: str | None,
+    rate_hz: float | None,
+    unit: str | None,
+    up: str | None,
+    skeleton: str | None,
+    options: Sequence[str],
+    quiet: bool,
+) -> None:
+    """Edit a motion and write it with its character: first its speed, then its path, then poses, then places to reach.
+
+    Raises:
+        FormatError: where the output's format cannot be written, or the input has no motion.
+        ShapeError, UnknownName: where an edit cannot be read or done.
+    """
+    from keypose import evaluate, io
+    from keypose.io.registry import format_of_suffix, unknown_format
+
+    reaches = [_reach(text) for text in edits.reaches]
+    film = output.suffix.lower() in FILMS
+    chosen = format_of_suffix(output)
+    if not film and (chosen is None or not chosen.write):  # told before anything is read
+        raise unknown_format(output, writing=True)
+    not_an_input(output, [source])
+    scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
+    if not scene.characters or not scene.animations:
+        raise FormatError("it has no motion of a skeleton", path=source)
+    body = scene.character.skeleton
+    animation = scene.animations[0] if clip is None else scene.animation(clip)
+    if isinstance(animation, Clip):
+        motion = evaluate.bake(animation, body, rate_hz or animation.rate_hz or 30.0)
+    else:
+        motion = evaluate.match(animation, body)
+        motion = motion if rate_hz is None else evaluate.resample(motion, rate_hz)
+    with progress_bar("editing", quiet=quiet) as progress:
+        edited, lines = _edited(motion, body, edits, reaches, progress)
+    made = Scene((scene.character,), (replace(edited, name=animation.name or Path(source).stem),), unit_m=scene.unit_m)
+    if film:
+        from keypose.render import RenderSettings, render_file
+
+        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
+            notes = render_file(made, output, settings=RenderSettings(), progress=progress)
+    else:
+        notes = io.save(made, output)
+    if quiet:
+        return
+    from rich.markup import escape
+
+    out = console()
+    out.print(
+        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
+        f"{edited.frame_count:,} frames at {edited.rate_hz:g} Hz)[/dim]"
+    )
+    for note in notes or ():
+        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+    for line in lines:
+        out.print(f"  {escape(line)}")
+
+
+def _edited(
+    motion: Motion, skeleton: Skeleton, edits: Edits, reaches: Sequence[Reach], progress: Progress
+) -> tuple[Motion, list[str]]:
+    """The motion after all edits, and what to say of them."""
+    from keypose.analysis.quality import measure_quality
+    from keypose.editing.reach import changed_frames, found_roles
+
+    roles = found_roles(skeleton)
+    lines: list[str] = []
+    result = _on_path(motion, skeleton, edits, lines)
+    for text in edits.turns:
+        result = _turned(result, skeleton, text, edits)
+    if reaches and edits.spacetime:
+        result = _spacetime(result, skeleton, reaches, edits, lines, progress)
+    elif reaches:
+        from keypose.editing.reach import reach
+
+        done = reach(result, skeleton, reaches, roles=roles, ease_s=edits.ease_s, progress=progress)
+        result = done.motion
+        lines += [_missed(r.joint, float(e.max())) for r, e in zip(reaches, done.error_m, strict=True)]
+    if result.frame_count == motion.frame_count:
+        lines.append(f"{int(changed_frames(motion, result).sum()):,} of {motion.frame_count:,} frames changed")
+    before, after = (
+        measure_quality(m, skeleton, roles or None).skate_cm_s if m.frame_count > 1 else None for m in (motion, result)
+    )
+    if before is not None and after is not None:
+        lines.append(f"feet in contact slide {after:.1f} cm/s (before: {before:.1f})")
+    return result, lines
+
+
+def _on_path(motion: Motion, skeleton: Skeleton, edits: Edits, lines: list[str]) -> Motion:
+    """The motion at its new speed, on its new path."""
+    from keypose.editing import paths
+    from keypose.editing.reach import found_roles
+
+    roles = found_roles(skeleton)
+    if edits.speed is not None:
+        found = _SPEED.match(edits.speed.replace(" ", ""))
+        if found is None:
+            raise ShapeError(f"--speed: expected a factor such as 1.5, or a speed such as 1.2m/s, got '{edits.speed}'")
+        value = _numbers(found["number"], 1, "--speed")[0]
+        own = paths.extract_path(motion, skeleton, roles=roles)
+        factors = paths.speeds_for(own, value) if found["unit"] == "m/s" else value
+        motion = paths.retime(motion, skeleton, factors, roles=roles)
+        lines.append(f"{motion.duration_s:.2f} s long")
+    if edits.bend_deg is None and not edits.loop and edits.follow is None and edits.stride is None:
+        return motion
+    old = paths.extract_path(motion, skeleton, roles=roles)
+    path = old if edits.stride is None else paths.scale_path(old, edits.stride)
+    if edits.follow is not None:
+        drawn = [_numbers(p, 2, "--follow") for p in edits.follow.replace(";", " ").split()]
+        path = paths.follow_points(path, np.array(drawn))
+    if edits.bend_deg is not None:
+        path = paths.bend_path(path, float(np.radians(edits.bend_deg)))
+    if edits.loop:
+        path = paths.close_path(path)
+    done = paths.put_on_path(motion, skeleton, path, old=old, roles=roles)
+    lines.append(f"a way of {path.lengths_m[-1]:.2f} m that turns by {np.degrees(path.turning_rad):.0f} degrees")
+    if done.short_m > 0.001:
+        lines.append(f"a planted foot stays up to {100 * done.short_m:.1f} cm from its place: the leg is too short")
+    return done.motion
+
+
+def _turned(motion: Motion, skeleton: Skeleton, text: str, edits: Edits) -> Motion:
+    """The motion with a joint turned in one frame, and around it less and less."""
+    from keypose.editing.falloff import edit_pose, with_joints
+    from keypose.editing.reach import found_roles, joint_of
+    from keypose.math import quat
+
+    found = _TURN.match(text)
+    if found is None:
+        raise ShapeError(f"--turn: expected JOINT@FRAME=X,Y,Z in degrees, got '{text}'")
+    roles = found_roles(skeleton)
+    joint = joint_of(skeleton, found["joint"], roles)
+    frame = int(found["first"])
+    if frame >= motion.frame_count:
+        raise ShapeError(f"--turn: expected a frame up to {motion.frame_count - 1}, got {frame}")
+    vector = np.radians(_numbers(found["place"], 3, "--turn"))
+    pose = motion.pose[frame]
+    own = quat.multiply(np.asarray(pose.rotations[joint], np.float64), quat.from_rotation_vector(vector))
+    turned = with_joints(pose, skeleton, {skeleton.names[joint]: own})
+    return edit_pose(
+        motion,
+        skeleton,
+        frame,
+        turned,
+        before_s=edits.ease_s,
+        after_s=edits.ease_s,
+        keep=edits.keep,
+        roles=roles,
+    ).motion
+
+
+def _spacetime(
+    motion: Motion,
+    skeleton: Skeleton,
+    reaches: Sequence[Reach],
+    edits: Edits,
+    lines: list[str],
+    progress: Progress,
+) -> Motion:
+    """All reaches at once, by the whole body, with what is to be kept where it is."""
+    from keypose.editing.constraints import Constraint, Place, Turn, kept_in_place
+    from keypose.editing.reach import found_roles, joint_of
+    from keypose.editing.spacetime import solve_spacetime
+    from keypose.evaluate import world_rotations_positions
+
+    roles = found_roles(skeleton)
+    ease = max(4, round(edits.ease_s * motion.rate_hz))
+    last = motion.frame_count - 1
+    late = next((r for r in reaches if r.last > last), None)
+    if late is not None:
+        raise ShapeError(f"--reach: expected frames up to {last}, got {late.last}")
+    window = (max(min(r.first for r in reaches) - ease, 0), min(max(r.last for r in reaches) + ease, last))
+    places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
+    wanted: list[Constraint] = []
+    for r in reaches:
+        joint = joint_of(skeleton, r.joint, roles)
+        wanted.append(Place(r.joint, r.frames, r.target if r.offset is None else places[r.frames, joint] + r.offset))
+        if r.rotation is not None:
+            wanted.append(Turn(r.joint, r.frames, r.rotation))
+    span = np.arange(window[0], window[1] + 1)
+    moved = {joint_of(skeleton, r.joint, roles) for r in reaches}
+    keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in ("left_foot", "right_foot") if f in roles]]
+    wanted += kept_in_place(motion, skeleton, [skeleton.names[j] for j in keep if j not in moved], span)
+    done = solve_spacetime(motion, skeleton, window, wanted, roles=roles, progress=progress)
+    lines += [_missed(c.joint, float(e.max())) for c, e in zip(wanted, done.error, strict=True) if isinstance(c, Place)]
+    if not done.converged:
+        lines.append("the solver had not come to rest")
+    return done.motion
+
+
+def _missed(joint: str, error_m: float) -> str:
+    from keypose.editing.reach import REACHED_M
+
+    said = "is where it should be" if error_m <= REACHED_M else "stays short of its place"
+    return f"{joint} {said}: {1000 * error_m:.3g} mm at most"
+
+
+def _reach(text: str) -> Reach:
+    """``left_hand@40-60=0.3,1.4,0.2``: a place; with ``=+``: so far from where it is."""
+    from keypose.editing.reach import Reach
+
+    found = _REACH.match(text)
+    if found is None:
+        raise ShapeError(f"--reach: expected JOINT@FRAME=X,Y,Z or JOINT@FIRST-LAST=+X,Y,Z, got '{text}'")
+    place = _numbers(found["place"], 3, "--reach")
+    first = int(found["first"])
+    last = int(found["last"] or first)
+    if found["sign"]:
+        return Reach(found["joint"], first, last, offset=place)
+    return Reach(found["joint"], first, last, target=place)
+
+
+def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    parts = text.split(",")
+    try:
+        values = tuple(float(p) for p in parts)
+    except ValueError:
+        values = ()
+    if len(values) != count or not np.all(np.isfinite(values)):
+        raise ShapeError(f"{option}: expected {count} numbers, got '{text}'")
+    return values
