@@ -175,6 +175,10 @@ class _Finder:
                 self.children[parent].append(joint)
         self.sides: list[Side] = [side_of(name) for name in self.names]
         self.texts = [_text(name) for name in self.names]
+        for joint, name in enumerate(self.names):  # '__UpLeg_L' only leads from the hips to 'UpLeg_L'
+            same = [c for c in self.children[joint] if self.texts[c] == self.texts[joint] != ""]
+            if name.startswith("__") and any(self.sides[c] == self.sides[joint] for c in same):
+                self.texts[joint] = ""
         self.parts = [_part(text, side) for text, side in zip(self.texts, self.sides, strict=True)]
         self.size = max(float(np.ptp(self.places[:, 1])), 1e-9)
         self.roles: dict[str, int] = {}
@@ -210,7 +214,8 @@ class _Finder:
         """Of joints at one place with one name ('__UpLeg_L', 'UpLeg_L'), the lowest: it is the one that is animated."""
         for child in self.children[joint]:
             same = self.texts[child] == self.texts[joint] != "" and self.sides[child] == self.sides[joint]
-            if same and self.near(child, joint, 1e-3):
+            carries = self.children[child] or len(self.children[joint]) == 1  # else a mesh of the same name
+            if same and carries and self.near(child, joint, 1e-3):
                 return self.settled(child)
         return joint
 
@@ -405,6 +410,9 @@ class _Finder:
         if toes:
             # of several, the great toe, which the field numbers first
             chosen = min(toes, key=lambda j: self.texts[j])
+            beyond = [j for j in self.children[chosen] if "toe" in self.texts[j]]
+            if "metatarsal" in self.texts[chosen] and beyond:  # a bone of the foot itself
+                chosen = beyond[0]
             self.put(f"{side}_toes", chosen, self.agreed(chosen, side, ("toes",)))
 
     def arm(self, side: Side, ends: Mapping[str, int]) -> None:
@@ -484,7 +492,9 @@ class _Finder:
         hand = self.roles.get(f"{side}_hand")
         if hand is None:
             return
-        numbers = {j: self.finger_number(j) for j in self.below(hand)[1:]}
+        arm = self.roles.get(f"{side}_lower_arm", hand)  # a rig may hang fingers beside the palm
+        beside = [j for j in self.below(arm) if j != hand and self.parts[j] == "fingers" and hand not in self.path(j)]
+        numbers = {j: self.finger_number(j) for j in (*self.below(hand)[1:], *beside)}
         first = 0 if 0 in numbers.values() else 1
         for n, finger in enumerate(FINGERS):
             pattern = re.compile(_FINGER_WORDS[finger])
