@@ -164,7 +164,8 @@ class LimbModule:
 
     Attributes, under ``name``: ``ik`` (0 FK to 1 IK), ``stretch`` (0..1, longer bones where the goal is out of reach), ``soft``
     (share of the length over which it slows down before it is straight), ``twist`` and ``lower_twist`` (radians that the two
-    bones turn about themselves).
+    bones turn about themselves), and ``rest_bend`` (0..1), if there is one: a limb whose middle joint lies at rest where the pole
+    would not have it, such as a knee bent backwards a little, keeps that near its rest reach.
     """
 
     name: str
@@ -184,7 +185,7 @@ class LimbModule:
 
 @dataclass(frozen=True, slots=True)
 class SpineModule:
-    """A chain from above the pelvis to the chest: FK controls, or one goal that the uppermost joint follows.
+    """A chain from above the pelvis to the chest: FK controls, and one goal that bends and turns what they give.
 
     Attributes, under ``name``: ``ik`` (0..1), ``stretch`` (0..1: how far it grows or shrinks to meet the goal's place).
     """

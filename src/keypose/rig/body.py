@@ -52,6 +52,12 @@ class Body:
         """To the body's left, (3,)."""
         return self.axes[:, 0]
 
+    def hangs(self, joint: int, above: int) -> bool:
+        """Whether one joint is below another."""
+        while joint >= 0 and joint != above:
+            joint = self.parents[joint]
+        return joint == above
+
     def tip(self, joint: int) -> Floats | None:
         """The end of a joint's bone: its only child, the mean of several, or a tip that the file names."""
         children = self.skeleton.children(joint)

@@ -30,7 +30,7 @@ def finger_module(sheet: Sheet, body: Body, side: str, letter: str, colour: Cont
         if (
             not joints
             or any(body.parents[b] != a for a, b in itertools.pairwise(joints))
-            or not _under(body, joints[0], hand)
+            or not body.hangs(joints[0], hand)
         ):
             continue
         ends = [places[j] for j in joints[1:]]
@@ -68,12 +68,6 @@ def finger_module(sheet: Sheet, body: Body, side: str, letter: str, colour: Cont
     for finger in fingers:
         sheet.attribute(f"{finger.name}.curl", goal, low=-0.5, high=1.2)
     return module
-
-
-def _under(body: Body, joint: int, hand: int) -> bool:
-    while joint >= 0 and joint != hand:
-        joint = body.parents[joint]
-    return joint == hand
 
 
 def _spread_over(closed: np.ndarray, count: int) -> tuple[float, ...]:

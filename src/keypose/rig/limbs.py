@@ -91,6 +91,11 @@ def _limb(plan: Plan, module: LimbModule) -> _Limb:
     )
 
 
+def is_bent_aside(plan: Plan, module: LimbModule) -> bool:
+    """Whether the middle joint lies at rest beside where its pole would have it: a knee that is bent backwards a little."""
+    return bool(_limb(plan, module).bend.any())
+
+
 def _path(plan: Plan, upper: int, lower: int) -> tuple[int, ...]:
     """The joints below ``upper`` down to ``lower``."""
     path = [lower]
@@ -240,7 +245,9 @@ def _reach(state: State, module: LimbModule, limb: _Limb, goal: Floats) -> list[
     middle = bones.start + upper_m[..., None] * (cosine[..., None] * along + sine[..., None] * side)
     end = bones.start + used[..., None] * along
     if limb.bend.any():
-        shift = (limb.bend * _fade(used / np.maximum(whole, 1e-12), limb.rest_reach)[..., None]) * whole[..., None]
+        share = _fade(used / np.maximum(whole, 1e-12), limb.rest_reach) * whole
+        share = share * np.clip(state.values.get(module.attribute("rest_bend"), np.ones(1)), 0.0, 1.0)
+        shift = limb.bend * share[..., None]
         middle = middle + shift[..., :1] * along + shift[..., 1:2] * side + shift[..., 2:] * normal
     turns = []
     for n, (bone, vector) in enumerate(((bones.upper, middle - bones.start), (bones.lower, end - middle))):
@@ -309,8 +316,9 @@ def wanted_limb(state: State, module: LimbModule) -> dict[int, Floats]:
         angle = np.arctan2(np.sum(cross(untwisted, now) * direction, axis=-1), np.sum(untwisted * now, axis=-1))
         # of one turn and the same turn by a whole round, the one nearest to the frame before
         state.values[module.attribute(("twist", "lower_twist")[n])] = np.unwrap(angle) if angle.ndim else angle
-    for name in ("stretch", "soft"):
-        state.values[module.attribute(name)] = np.zeros(1)
+    for name in ("stretch", "soft", "rest_bend"):
+        if module.attribute(name) in state.values:
+            state.values[module.attribute(name)] = np.zeros(1)
     if module.foot is not None:
         for pivot in PIVOTS:
             state.values[module.foot.attribute(pivot)] = np.zeros(1)

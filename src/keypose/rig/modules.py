@@ -13,6 +13,9 @@ from keypose.rig import limbs
 from keypose.rig.frames import about, frame, inverse, lengths, moved, rotation, shared, spin, to_matrix, unit
 from keypose.rig.state import State, blend
 
+# Of eyes: what a rotation's matrix may differ by before it counts as roll.
+_ROLL = 1e-3
+
 
 def move(state: State, module: Module) -> None:
     """Place the joints of a module by its controls and values."""
@@ -52,9 +55,12 @@ def wanted(state: State, module: Module) -> dict[int, Floats]:
         found[goal] = state.joint(top) @ inverse(plan.offset(goal, top))
     elif isinstance(module, EyesModule):
         for joint, control in _pairs(state, module):
-            # straight ahead of the eye, as far as at rest; the eye's own roll cannot be said
-            offset = plan.rest_inverse[joint] @ plan.control_rest[control]
-            found[control] = state.joint(joint) @ offset
+            # straight ahead of the eye, as far as at rest
+            found[control] = state.joint(joint) @ plan.rest_inverse[joint] @ plan.control_rest[control]
+            aimed = _aimed(state, joint, found[control], control)
+            if np.abs(rotation(aimed) - rotation(state.joint(joint))).max(initial=0.0) > _ROLL:
+                # they roll, which no target says: their own channels go on
+                state.values[module.attribute("look")] = np.zeros(1)
     return found
 
 
@@ -97,7 +103,8 @@ def _move_spine(state: State, module: SpineModule) -> None:
     joints = [plan.joint(j) for j in module.joints]
     goal = plan.control(module.goal)
     target = state.control(goal) @ plan.offset(goal, joints[-1])
-    straight = _unbent(state, joints)
+    # IK bends what FK gives, so that controls fitted on both sides agree
+    straight = [state.joint(j) for j in joints]
     turn = rotation(target) @ np.swapaxes(rotation(straight[-1]), -1, -2)
     count = len(joints)
     # every joint turns by its part of what the chest turns, and carries what lies above
@@ -122,23 +129,8 @@ def _move_spine(state: State, module: SpineModule) -> None:
             bent[n] = frame(swing @ linear if n + 1 < count else linear, where)
     size = lengths(target[..., :3, :3])
     bent[-1] = frame(rotation(target) * size[..., None, :], bent[-1][..., :3, 3])
-    for joint, solved in zip(joints, bent, strict=True):
-        before = state.joint(joint)
+    for joint, before, solved in zip(joints, straight, bent, strict=True):
         state.joints[joint] = blend(state, switch, before, solved)
-
-
-def _unbent(state: State, joints: list[int]) -> list[Floats]:
-    """The chain on what carries it, turned as at rest, with the base pose's own lengths."""
-    found: list[Floats] = []
-    carrier = state.above(joints[0])
-    rest = state.plan.skeleton.rest
-    turns = to_matrix(np.asarray(rest.rotations, np.float64))
-    for joint in joints:
-        base = state.base[joint]
-        local = frame(turns[joint] * lengths(base[..., :3, :3])[..., None, :], base[..., :3, 3])
-        carrier = carrier @ local
-        found.append(carrier)
-    return found
 
 
 # ---- head and eyes -----------------------------------------------------------------------------------------------------
@@ -168,20 +160,22 @@ def _move_head(state: State, module: HeadModule) -> None:
 def _move_eyes(state: State, module: EyesModule) -> None:
     look = module.attribute("look")
     weight = np.clip(state.value(look), 0.0, 1.0)
-    plan = state.plan
-    rest = plan.skeleton.rest
     for joint, control in _pairs(state, module):
         base = state.above(joint) @ state.base[joint]
-        if not np.any(weight):
-            state.joints[joint] = base
-            continue
-        turns = to_matrix(np.asarray(rest.rotations, np.float64)[joint])
-        local = state.base[joint]
-        still = state.above(joint) @ frame(turns * lengths(local[..., :3, :3])[..., None, :], local[..., :3, 3])
-        ahead = (plan.rest_inverse[joint] @ plan.control_rest[control][:, 3])[:3]
-        now, wish = moved(still, ahead), state.control(control)[..., :3, 3] - still[..., :3, 3]
-        aimed = about(still[..., :3, 3], turn_between(now, wish), still)
-        state.joints[joint] = blend(state, look, base, aimed)
+        if np.any(weight):
+            base = blend(state, look, base, _aimed(state, joint, state.control(control), control))
+        state.joints[joint] = base
+
+
+def _aimed(state: State, joint: int, target: Floats, control: int) -> Floats:
+    """An eye turned out of its rest pose towards a target, the short way."""
+    plan = state.plan
+    turns = to_matrix(np.asarray(plan.skeleton.rest.rotations[joint], np.float64))
+    local = state.base[joint]
+    still = state.above(joint) @ frame(turns * lengths(local[..., :3, :3])[..., None, :], local[..., :3, 3])
+    ahead = (plan.rest_inverse[joint] @ plan.control_rest[control][:, 3])[:3]
+    place = still[..., :3, 3]
+    return about(place, turn_between(moved(still, ahead), target[..., :3, 3] - place), still)
 
 
 def turn_between(now: Floats, wish: Floats) -> Floats:

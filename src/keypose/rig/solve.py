@@ -21,8 +21,8 @@ from keypose.rig.modules import move
 from keypose.rig.plan import CONTROL, Driven, Part, plan_of
 from keypose.rig.state import State, defaults
 
-# A scale that differs from the base pose's by rounding alone is the base pose's.
-_SAME_SCALE = 1e-9
+# Rounding, in metres and factors.
+_SAME = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,16 +174,19 @@ def _pose(state: State, local: Mapping[int, Floats], batch: tuple[int, ...], bas
         for a in (full.translations, full.rotations, full.scales)
     ]
     frames = np.stack([np.broadcast_to(local[j], (count, 4, 4)) for j in joints], axis=1)
+    before = np.stack([np.broadcast_to(state.base[j], (count, 4, 4)) for j in joints], axis=1)
+    # what differs from the base pose by rounding alone is the base pose, bit for bit
+    same = np.abs(frames - before).max(axis=(-2, -1)) < _SAME
     size = lengths(frames[..., :3, :3])
     known = arrays[2][:, joints]
-    size = np.where(np.abs(size - np.abs(known)) < _SAME_SCALE * np.maximum(1.0, np.abs(known)), np.abs(known), size)
+    size = np.where(np.abs(size - np.abs(known)) < _SAME * np.maximum(1.0, np.abs(known)), np.abs(known), size)
     # a joint that is mirrored at rest stays mirrored along the same axes
     signs = np.where(known < 0, -1.0, 1.0)
-    arrays[0][:, joints] = frames[..., :3, 3]
     turned = to_quat(rotation(frames) * signs[..., None, :])
     towards = np.sum(turned * arrays[1][:, joints], axis=-1, keepdims=True)
-    arrays[1][:, joints] = np.where(towards < 0, -turned, turned)
-    arrays[2][:, joints] = size * signs
+    found = (frames[..., :3, 3], np.where(towards < 0, -turned, turned), size * signs)
+    for array, values in zip(arrays, found, strict=True):
+        array[:, joints] = np.where(same[..., None], array[:, joints], values)
     t, r, s = (a.reshape(*batch, *a.shape[1:]).astype(dtype) for a in arrays)
     return Pose(t, r, s)
 
