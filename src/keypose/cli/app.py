@@ -426,6 +426,64 @@ def roles(
         raise typer.Exit(1)
 
 
+@app.command(
+    epilog=_examples(
+        "keypose skin statue.obj --skeleton walk.bvh hero.glb [dim]# the skeleton's rest pose has to fit the mesh[/dim]",
+        "keypose skin hero.fbx hero.glb [dim]# new weights for a character as it is[/dim]",
+        "keypose skin hero.glb hero-8.glb --influences 8 --strength 0.5 [dim]# wider, softer bends[/dim]",
+        "keypose skin hero.glb running.png --clip Run [dim]# look at it at once[/dim]",
+    )
+)
+def skin(
+    mesh: Annotated[
+        str, typer.Argument(metavar="MESH", help="A file with a mesh, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    skeleton: Annotated[
+        str | None,
+        typer.Option("--skeleton", metavar="FILE", help="Whose skeleton and motions; the mesh's own if not given."),
+    ] = None,
+    joints: Annotated[
+        str | None, typer.Option("--joints", metavar="NAMES", help="Joints that may move something, with commas.")
+    ] = None,
+    influences: Annotated[
+        int, typer.Option("--influences", help="Joints that may move a vertex, at most.", min=1, max=64)
+    ] = 4,
+    strength: Annotated[
+        float, typer.Option("--strength", help="Narrower (above 1) or wider (below 1) bends.", min=0.01, max=100)
+    ] = 1.0,
+    dual_quaternion: Annotated[
+        bool, typer.Option("--dual-quaternion", help="Blend with dual quaternions, which keep volume in twists.")
+    ] = False,
+    clip: Annotated[str | None, typer.Option("--clip", help="Name of the animation to keep; all if not given.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    option: FormatOptions = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Bind a mesh to a skeleton with automatic weights, and print how they came about."""
+    from keypose.cli.weights import skin_file
+
+    skin_file(
+        mesh,
+        output,
+        skeleton=skeleton,
+        joints=[name.strip() for name in joints.split(",") if name.strip()] if joints else None,
+        influences=influences,
+        strength=strength,
+        dual_quaternion=dual_quaternion,
+        clip=clip,
+        as_json=json,
+        unit=unit,
+        up=up,
+        options=option or (),
+        quiet=quiet,
+    )
+
+
 class Theme(StrEnum):
     """The look of the picture."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Array, Floats, checked
+from keypose.arrays import Array, Floats, Ints, checked
 from keypose.deform.weights_bones import Bones, bones_of
 from keypose.deform.weights_bound import bound_pose
 from keypose.deform.weights_heat import sources_of, spread
@@ -24,6 +24,7 @@ _VOXELS = 2_000_000
 _INSIDE = 1 / 3  # of a bone has to be in the body
 _STIFF = 0.02  # of the size; pieces so small that go along do not bend
 _LEAST_WEIGHT = 1e-3
+_EVEN = 1e-9  # where all are the same, they stay so
 
 Progress = Callable[[int, int], None]
 
@@ -83,7 +84,7 @@ def automatic_weights(
     model_from_joint: Array | None = None,
     joints: Sequence[int | str] | None = None,
     max_influences: int = 4,
-    strength: float = 1.5,
+    strength: float = 1.0,
     method: SkinningMethod | str = SkinningMethod.LINEAR,
     progress: Progress | None = None,
 ) -> AutomaticWeights:
@@ -117,20 +118,15 @@ def automatic_weights(
     surface = weld(meshes)
     solid = solid_of(surface, _VOXELS)
     chosen = _named(skeleton, joints) if joints is not None else _of_the_body(skeleton, solid.holds(pose[:, :3, 3]))
-    found, report = _weigh(surface, solid, skeleton, pose, chosen, strength, progress)
+    found, report = _weigh(surface, solid, skeleton, pose, chosen, strength, max_influences, progress)
     binds = np.linalg.inv(pose)
     skins: list[Skin] = []
-    lost: list[Floats] = []
     for mesh, points in zip(meshes, surface.point_of, strict=True):
-        bound, kept = _skin(found[points], binds, max_influences, mesh.positions.dtype, SkinningMethod(method))
-        skins.append(bound)
-        lost.append(1.0 - kept)
-    losses = np.concatenate(lost)
+        skins.append(_skin(found[points], binds, max_influences, mesh.positions.dtype, SkinningMethod(method)))
     moving = {int(j) for bound in skins for j in bound.palette[np.unique(bound.joints[bound.weights > 0])]}
     report = replace(
         report,
         influences=max((int(np.count_nonzero(s.weights, axis=1).max(initial=0)) for s in skins), default=0),
-        mean_lost_weight=float(losses.mean()),
         joints=tuple(skeleton.names[j] for j in sorted(moving)),
         joints_without=tuple(skeleton.names[j] for j in chosen if j not in moving),
     )
@@ -140,16 +136,18 @@ def automatic_weights(
 def skin_character(
     character: Character,
     *,
+    skeleton: Skeleton | None = None,
     joints: Sequence[int | str] | None = None,
     max_influences: int = 4,
-    strength: float = 1.5,
+    strength: float = 1.0,
     method: SkinningMethod | str = SkinningMethod.LINEAR,
     progress: Progress | None = None,
 ) -> tuple[Character, WeightsReport]:
     """The character with automatic weights in place of its skins and rigid bindings; see `automatic_weights`.
 
     Parts, morphs, the pose that the character was bound in and everything else stay. Where ``joints`` are not given,
-    those are taken that its skins used, if it has any.
+    those are taken that its skins used, if it has any. With another ``skeleton``, whose rest pose stands where the meshes
+    stand, the character gets that one in place of its own, and loses the roles of its joints.
 
     Raises:
         ShapeError: where the character has no mesh.
@@ -157,12 +155,12 @@ def skin_character(
     if not character.parts:
         raise ShapeError(f"character '{character.name}': it has no mesh to bind")
     bound = bound_pose(character)
-    if joints is None:
+    if joints is None and skeleton is None:
         joints = _used(character) or None
     done = automatic_weights(
         bound.meshes,
-        character.skeleton,
-        model_from_joint=bound.model_from_joint,
+        skeleton or character.skeleton,
+        model_from_joint=None if skeleton else bound.model_from_joint,
         joints=joints,
         max_influences=max_influences,
         strength=strength,
@@ -174,6 +172,8 @@ def skin_character(
         binds = np.asarray(skin.joint_from_mesh, np.float64) @ carrier
         skin = replace(skin, joint_from_mesh=binds.astype(part.mesh.positions.dtype))
         parts.append(replace(part, skin=skin, joint=None))
+    if skeleton is not None:
+        return replace(character, skeleton=skeleton, parts=tuple(parts), roles={}), done.report
     return replace(character, parts=tuple(parts)), done.report
 
 
@@ -233,6 +233,7 @@ def _weigh(
     pose: Floats,
     chosen: list[int],
     strength: float,
+    most: int,
     progress: Progress | None,
 ) -> tuple[Floats, WeightsReport]:
     """Weights (P, J) of all points."""
@@ -242,7 +243,7 @@ def _weigh(
     heated = np.isin(np.arange(surface.shell_count), pieces.heated)
     mine = np.nonzero(heated[surface.shell_of])[0]
     weights = np.zeros((len(surface.points), skeleton.joint_count))
-    bent = 0
+    bent, before, lost = 0, 1, 0.0
     if len(mine):
         sources = sources_of(surface.points[mine], surface.size_m, bones, skeleton.joint_count, solid, strength)
         reached = np.bincount(surface.shell_of[mine], sources.heat > 0, minlength=surface.shell_count) > 0
@@ -253,6 +254,12 @@ def _weigh(
         used = mine[warm]
         weights[used] = spread(surface, surface.triangles_of(reached), used, sources.rows(warm), progress)
         bent = int(np.count_nonzero(sources.bent))
+        before = int(np.count_nonzero(weights > _LEAST_WEIGHT, axis=1).max(initial=0))
+        # what goes along follows the surface as it will move, with few influences
+        order, kept, total = _largest(weights[used], most)
+        weights[used] = 0.0
+        weights[used[:, None], order] = kept
+        lost = float(1.0 - total.mean())
     for shell, joint in pieces.owner.items():
         weights[surface.shell_of == shell, joint] = 1.0
     _attach(surface, pieces, weights, bones)
@@ -266,8 +273,8 @@ def _weigh(
         open_pieces=int(np.count_nonzero(~surface.closed[pieces.heated])),
         vertices_around_corners=bent,
         influences=0,
-        influences_before=int(np.count_nonzero(weights > _LEAST_WEIGHT, axis=1).max(initial=0)),
-        mean_lost_weight=0.0,
+        influences_before=before,
+        mean_lost_weight=lost,
         joints=(),
         joints_without=(),
         notes=tuple(notes),
@@ -311,17 +318,30 @@ def _attach(surface: Surface, pieces: Pieces, weights: Floats, bones: Bones) -> 
             weights[own] = weights[own].mean(axis=0)
 
 
-def _skin(weights: Floats, binds: Floats, most: int, dtype: Any, method: SkinningMethod) -> tuple[Skin, Floats]:
-    """A skin of the largest ``most`` of weights (V, J), and how much of the weight (V,) was kept."""
+def _largest(weights: Floats, most: int) -> tuple[Ints, Floats, Floats]:
+    """The ``most`` largest of weights (V, J), joints and values (V, K) with a sum of 1, and what was their sum before.
+
+    The next smaller one takes its own share off from all, the more the nearer they are to it, so that no joint comes and
+    goes at once from one vertex to the next.
+    """
     width = min(most, weights.shape[1])
-    order = np.argpartition(-weights, width - 1, axis=1)[:, :width]
+    ranks = min(width + 1, weights.shape[1])
+    order = np.argpartition(-weights, ranks - 1, axis=1)[:, :ranks]
     order = np.take_along_axis(order, np.argsort(-np.take_along_axis(weights, order, 1), axis=1, kind="stable"), 1)
-    kept = np.take_along_axis(weights, order, axis=1)
-    kept[kept < _LEAST_WEIGHT] = 0.0
+    ranked = np.take_along_axis(weights, order, axis=1)
+    kept = ranked[:, :width]
     total = kept.sum(axis=1)
-    kept /= total[:, None]
+    if ranks > width:
+        next_one = ranked[:, width:]
+        kept = kept - next_one * (next_one / np.maximum(kept, 1e-30)) + _EVEN
+    kept = np.where(kept < _LEAST_WEIGHT * kept.sum(axis=1, keepdims=True), 0.0, kept)
+    return order[:, :width], kept / kept.sum(axis=1, keepdims=True), total
+
+
+def _skin(weights: Floats, binds: Floats, most: int, dtype: Any, method: SkinningMethod) -> Skin:
+    """A skin of the largest ``most`` of weights (V, J)."""
+    order, kept, _ = _largest(weights, most)
     palette, slots = np.unique(order[kept > 0], return_inverse=True)
     joints = np.zeros(order.shape, np.int32)
     joints[kept > 0] = slots.reshape(-1)
-    bound = Skin(palette.astype(np.int32), binds[palette].astype(dtype), joints, kept.astype(np.float32), method)
-    return bound, total
+    return Skin(palette.astype(np.int32), binds[palette].astype(dtype), joints, kept.astype(np.float32), method)

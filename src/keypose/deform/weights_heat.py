@@ -19,6 +19,7 @@ from keypose.deform.weights_surface import Surface, laplacian
 _CANDIDATES = 8  # nearest bones that are looked at
 _EQUAL = 1.001  # bones so near to each other's distance share
 _PULL = 0.25  # power of the thickness of a limb that makes its bones count as nearer
+_FAR = 0.02  # of the size; what is farther from its bone is no colder: thick limbs would blend all over
 _LEAST = 1e-4  # of the size: what is nearer to a bone is no warmer
 _RIGHT_HAND_SIDES = 32  # solved at a time, between two reports of progress
 
@@ -90,7 +91,7 @@ def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, so
     shares.data = np.minimum(shares.data, 1.0)
     shares = _by_joint(shares)
     way = np.where(equal, lengths, np.inf).min(axis=1)
-    heat = np.where(np.isfinite(way), strength / np.maximum(way, _LEAST * size_m) ** 2, 0.0)
+    heat = np.where(np.isfinite(way), strength / np.clip(way, _LEAST * size_m, _FAR * size_m) ** 2, 0.0)
     return Sources(heat, shares, seen, bent)
 
 
