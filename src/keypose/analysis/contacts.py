@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from keypose.analysis.ground import Ground, GroundKind, fit_ground, point_speeds, still_spells, true_runs
 from keypose.arrays import Floats, as_float, checked
 from keypose.errors import ShapeError
 
+STILL_M = 1e-6
+"""A step of a frame that is rounding and no motion, for a leg of 0.85 m."""
+
 _LEG_M = 0.85  # the length of leg that limits in metres are meant for
+_SIDES = ("left", "right")
+_FEWEST = 3  # frames in contact that are enough to say how a foot stands
+_RELEASE = 1.5  # a contact ends where a limit is passed so many times over
 
 
 def find_contacts(
@@ -50,7 +59,7 @@ def find_contacts(
         return np.zeros((0, count), bool)
     floor = points[..., 1].min(axis=0) if floor_m is None else np.broadcast_to(as_float(floor_m), (count,))
     height = points[..., 1] - floor
-    speed = _speeds(points, rate_hz)
+    speed = point_speeds(points, rate_hz)
     begin = (height < height_m) & (speed < speed_m_s)
     stay = (height < release * height_m) & (speed < release * speed_m_s)
     period = frames - 1 if cyclic and frames > 2 else frames
@@ -62,6 +71,111 @@ def find_contacts(
     return np.concatenate([touching, touching[:1]]) if period < frames else touching
 
 
+@dataclass(frozen=True, slots=True)
+class Sole:
+    """Where the heel's contact point lies from ankle and ball: the angle of the line from ankle to ball over the level plane
+    where the foot is flat, and how far behind the ankle the heel is (shares of that line's length).
+    """
+
+    flat: float
+    behind: float = 0.3
+
+    def heel_offsets(self, ball_from_ankle: Floats) -> Floats:
+        """From the ankle to the heel (*B, 3) on the ball's level when flat; the foot may be pitched, its roll is left out."""
+        level = np.hypot(ball_from_ankle[..., 0], ball_from_ankle[..., 2])
+        length = np.linalg.norm(ball_from_ankle, axis=-1)
+        pitch = np.arctan2(ball_from_ankle[..., 1], level) - self.flat
+        back, down = self.behind * np.cos(self.flat) * length, -np.sin(self.flat) * length
+        ahead = -back * np.cos(pitch) + down * np.sin(pitch)
+        up = -back * np.sin(pitch) - down * np.cos(pitch)
+        along = ahead / np.maximum(level, 1e-9)
+        return np.stack([along * ball_from_ankle[..., 0], up, along * ball_from_ankle[..., 2]], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footing:
+    """How the feet of a motion stand.
+
+    Shapes and units: ``points`` and ``touching`` hold ``left_heel``, ``left_ball`` ...: places (T, 3) in metres and flags (T,).
+    A foot without toes has a heel only, its ankle. ``stand_m``: how high each side's points are over the ``ground`` where they
+    stand (a joint lies inside the foot). ``soles`` (``left``, ``right``) of feet with toes.
+    """
+
+    points: Mapping[str, Floats]
+    touching: dict[str, np.ndarray]
+    ground: Ground
+    stand_m: Mapping[str, float]
+    soles: Mapping[str, Sole]
+    rate_hz: float
+
+    def heights(self, point: str) -> Floats:
+        """How high (T,) a point is over where it stands, metres."""
+        track = self.points[point]
+        return track[:, 1] - self.ground.heights(track) - self.stand_m[point.partition("_")[0]]
+
+
+def find_footing(
+    roles: Mapping[str, int],
+    places: Floats,
+    rate_hz: float,
+    leg_m: float,
+    *,
+    height_m: float = 0.03,
+    speed_m_s: float = 0.25,
+    ground: Ground | GroundKind = "auto",
+    shortest_s: float = 0.05,
+) -> Footing:
+    """Where the ground is and when heels and balls of the feet touch it.
+
+    Shapes and units: ``places`` (T, J, 3) metres; limits in metres and metres a second are those of a leg of 0.85 m and grow
+    with ``leg_m``. ``ground`` is known, or of a kind, or (``auto``) level if that explains most of the standing, else a slope,
+    else steps.
+
+    A contact is where a point is low and slow (with hysteresis, as in `find_contacts`), from where its speed has come down to
+    where it begins to rise for good: a foot that was planted before is found in just the frames in which it stands still.
+    """
+    size = leg_m / _LEG_M
+    shortest = max(2, round(shortest_s * rate_hz))
+    tracks: dict[str, Floats] = {}
+    ankles: dict[str, Floats] = {}
+    for side in _SIDES:
+        if f"{side}_foot" in roles:
+            ankles[side] = places[:, roles[f"{side}_foot"]].astype(np.float64)
+            ball = roles.get(f"{side}_toes", roles[f"{side}_foot"])
+            tracks[side] = places[:, ball].astype(np.float64)
+    if isinstance(ground, Ground):
+        found = ground
+    else:
+        spells = still_spells(tracks, rate_hz, speed_m_s * size, height_m * size, shortest)
+        found = fit_ground(spells, tracks, height_m * size, ground)
+    stand = {side: _stand(found, track, rate_hz, speed_m_s * size, height_m * size) for side, track in tracks.items()}
+    soles = {
+        side: _sole(ankles[side], tracks[side], rate_hz, speed_m_s * size) for side in tracks if f"{side}_toes" in roles
+    }
+    limits = (height_m * size, speed_m_s * size)
+    touching: dict[str, np.ndarray] = {}
+    # The sole's angle and the height of standing are those of the frames in contact; they are found with rough ones first.
+    for _ in range(2):
+        footing = Footing(_points(ankles, tracks, soles), {}, found, stand, soles, rate_hz)
+        touching = {
+            name: _touches(footing.heights(name), track, rate_hz, limits, shortest, size)
+            for name, track in footing.points.items()
+        }
+        soles, stand = _refined(replace(footing, touching=touching), ankles)
+    return Footing(_points(ankles, tracks, soles), touching, found, stand, soles, rate_hz)
+
+
+def _points(ankles: Mapping[str, Floats], tracks: Mapping[str, Floats], soles: Mapping[str, Sole]) -> dict[str, Floats]:
+    points: dict[str, Floats] = {}
+    for side, track in tracks.items():
+        if side in soles:
+            points[f"{side}_heel"] = ankles[side] + soles[side].heel_offsets(track - ankles[side])
+            points[f"{side}_ball"] = track
+        else:
+            points[f"{side}_heel"] = track
+    return points
+
+
 def foot_contacts(
     roles: Mapping[str, int],
     places: Floats,
@@ -70,27 +184,105 @@ def foot_contacts(
     *,
     height_m: float = 0.03,
     speed_m_s: float = 0.25,
+    ground: Ground | GroundKind = "auto",
 ) -> dict[str, np.ndarray]:
-    """When heels (``left_heel``) and balls (``left_ball``) of the feet touch the ground, (T,) bool each.
+    """When heels (``left_heel``) and balls (``left_ball``) of the feet touch the ground, (T,) bool each; see `find_footing`."""
+    return find_footing(roles, places, rate_hz, leg_m, height_m=height_m, speed_m_s=speed_m_s, ground=ground).touching
 
-    Shapes and units: ``places`` (T, J, 3) metres; limits in metres and metres a second are those of a leg of 0.85 m and
-    grow with ``leg_m``. The ankle stands for the heel and the toe joint for the ball; the ground under each is its own lowest
-    height, without the lowest two in a hundred frames.
-    """
-    size = leg_m / _LEG_M
-    points = {"heel": "foot", "ball": "toes"}
-    found: dict[str, np.ndarray] = {}
-    for side in ("left", "right"):
-        for point, role in points.items():
-            if f"{side}_{role}" not in roles:
-                continue
-            joint = roles[f"{side}_{role}"]
-            track = places[:, joint : joint + 1]
-            floor = np.percentile(track[..., 1], 2.0)
-            found[f"{side}_{point}"] = find_contacts(
-                track, rate_hz, height_m=height_m * size, speed_m_s=speed_m_s * size, floor_m=floor
-            )[:, 0]
+
+def foot_points(roles: Mapping[str, int], places: Floats, touching: Mapping[str, np.ndarray]) -> dict[str, Floats]:
+    """The points (T, 3) of feet whose contacts are given (``left_heel`` ...): ball, and heel behind and under the ankle."""
+    found: dict[str, Floats] = {}
+    for side in _SIDES:
+        if f"{side}_foot" not in roles:
+            continue
+        ankle = places[:, roles[f"{side}_foot"]]
+        if f"{side}_toes" not in roles:
+            found[f"{side}_heel"] = ankle
+            continue
+        ball = places[:, roles[f"{side}_toes"]]
+        none = np.zeros(len(places), bool)
+        flat = touching.get(f"{side}_heel", none) & touching.get(f"{side}_ball", none)
+        rise = _elevation(ball - ankle)
+        sole = Sole(float(np.median(rise[flat] if flat.any() else rise)))
+        found[f"{side}_heel"], found[f"{side}_ball"] = ankle + sole.heel_offsets(ball - ankle), ball
     return found
+
+
+def _stand(ground: Ground, track: Floats, rate_hz: float, speed: float, near: float) -> float:
+    """How high a point is over the ground where it stands; nothing, where that is out of the ordinary or the ground slopes."""
+    if ground.kind != "flat":
+        return 0.0
+    height = track[:, 1] - ground.heights(track)
+    standing = (point_speeds(track, rate_hz) < speed) & (np.abs(height) < near)
+    return float(np.median(height[standing])) if standing.sum() >= _FEWEST else 0.0
+
+
+def _sole(ankle: Floats, ball: Floats, rate_hz: float, speed: float) -> Sole:
+    both = (point_speeds(ankle, rate_hz) < speed) & (point_speeds(ball, rate_hz) < speed)
+    rise = _elevation(ball - ankle)
+    if both.sum() >= _FEWEST:
+        return Sole(float(np.median(rise[both])))
+    # A foot that is never flat: the angle at which its ankle is lowest.
+    return Sole(float(np.median(rise[ankle[:, 1] <= np.percentile(ankle[:, 1], 10.0)])))
+
+
+def _refined(footing: Footing, ankles: Mapping[str, Floats]) -> tuple[dict[str, Sole], dict[str, float]]:
+    """Soles and standing heights as they are in the frames in contact."""
+    soles, stand = dict(footing.soles), dict(footing.stand_m)
+    for side in stand:
+        name = f"{side}_ball" if side in soles else f"{side}_heel"
+        down = footing.touching[name]
+        if side in soles:
+            flat = down & footing.touching[f"{side}_heel"]
+            if flat.any():
+                rise = _elevation(footing.points[name] - ankles[side])
+                soles[side] = Sole(float(np.median(rise[flat])))
+        if footing.ground.kind == "flat" and down.any():
+            stand[side] += float(np.median(footing.heights(name)[down]))
+    return soles, stand
+
+
+def _elevation(ball_from_ankle: Floats) -> Floats:
+    return np.arctan2(ball_from_ankle[..., 1], np.hypot(ball_from_ankle[..., 0], ball_from_ankle[..., 2]))
+
+
+def _touches(
+    height: Floats, track: Floats, rate_hz: float, limits: tuple[float, float], shortest: int, size: float
+) -> np.ndarray:
+    """Low and slow with hysteresis, ends where the speed is still coming down or rises for good left out."""
+    speed = point_speeds(track, rate_hz)
+    begin = (height < limits[0]) & (speed < limits[1])
+    stay = (height < _RELEASE * limits[0]) & (speed < _RELEASE * limits[1])
+    touching = np.zeros(len(speed), bool)
+    for start, stop in true_runs(stay):
+        first = start + int(np.argmax(begin[start:stop]))
+        touching[first:stop] = begin[first]
+    touching = ~_without_short(~touching, shortest, False)
+    touching = _without_short(touching, shortest, False)
+    still = STILL_M * size * rate_hz
+    for start, stop in true_runs(touching):
+        low, high = start, stop - 1
+        if stop < len(speed):
+            while high > low and speed[high] > still and speed[high - 1] < speed[high]:
+                high -= 1
+        if start > 0:
+            while low < high and speed[low] > still and speed[low + 1] < speed[low]:
+                low += 1
+        while high - low + 1 < shortest:  # a short touch keeps its slowest frames
+            if high + 1 < stop and (low == start or speed[high + 1] <= speed[low - 1]):
+                high += 1
+            elif low > start:
+                low -= 1
+            else:
+                break
+        touching[start:low] = False
+        touching[high + 1 : stop] = False
+        # What moves from one exact hold to another does so on purpose.
+        holds = [(a, b) for a, b in true_runs(speed[low : high + 1] <= still) if b - a >= shortest]
+        for (_, left), (right, _) in itertools.pairwise(holds):
+            touching[low + left : low + right] = False
+    return touching
 
 
 def contact_changes(touching: Any, cyclic: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -108,14 +300,6 @@ def contact_changes(touching: Any, cyclic: bool = False) -> tuple[np.ndarray, np
     else:
         before = np.concatenate([track[:1], track[:-1]])
     return np.nonzero(track & ~before)[0], np.nonzero(~track & before)[0]
-
-
-def _speeds(points: Floats, rate_hz: float) -> Floats:
-    """Speed at each frame (T, N): the smaller of the steps before and after, so that a landing counts at once."""
-    if len(points) < 2:
-        return np.zeros(points.shape[:2])
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=-1) * rate_hz
-    return np.minimum(np.concatenate([steps[:1], steps]), np.concatenate([steps, steps[-1:]]))
 
 
 def _latched(begin: np.ndarray, stay: np.ndarray, rounds: int) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.contacts import foot_contacts
+from keypose.analysis.contacts import foot_contacts, foot_points
 from keypose.analysis.roles import SIDES, find_roles
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
@@ -156,12 +156,13 @@ def carried_speeds(
     """
     found: list[Floats] = []
     none = np.zeros(len(places), bool)
+    points = foot_points(roles, places, touching)
     for side in SIDES:
         ball, heel = touching.get(f"{side}_ball", none), touching.get(f"{side}_heel", none)
-        for role, flag in (("toes", ball), ("foot", heel & ~ball)):
-            if f"{side}_{role}" not in roles:
+        for name, flag in ((f"{side}_ball", ball), (f"{side}_heel", heel & ~ball)):
+            if name not in points:
                 continue
-            step = np.diff(places[:, roles[f"{side}_{role}"]], axis=0)[flag[1:] & flag[:-1]]
+            step = np.diff(points[name], axis=0)[flag[1:] & flag[:-1]]
             found.append(100.0 * rate_hz * np.hypot(step[:, 0], step[:, 2]))
     return np.concatenate(found) if found else np.zeros(0)
 

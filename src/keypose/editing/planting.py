@@ -1,29 +1,34 @@
 """Feet that stand still where they touch the ground: contacts, anchors, and legs that reach them.
 
-A foot in contact is moved so that the point that carries it (the ball, or the heel before the ball lands) does not move.
-Between two contacts the correction goes over smoothly, with the speed it has at both ends, so that no knee jumps. Where a
-leg is too short for its foot, the hips come down a little.
+A foot in contact is moved so that the point that carries it (the ball, or the heel before the ball lands) does not move; while
+both are down it does not turn either. Between two contacts the correction goes over smoothly, with the speed it has at both
+ends. Hips come along where a knee would have to jump.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from keypose.analysis.contacts import foot_contacts
+from keypose.analysis.contacts import Footing, find_footing
+from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
+from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
+from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
-from keypose.ik import rotation_between_frames, solve_limb
-from keypose.math import quat, spline
+from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
 Touching = Mapping[str, np.ndarray]
+
+_LEG_M = 0.85
+_ROUNDS = 24  # of planting and looking again; almost always two or three are enough
+_SINK_M, _SINK_KNOWN_M = 0.01, 0.0005  # how far feet in the air may go under a ground that is guessed, or known
+_KNEE_LIMIT = 1.4  # times the largest angular acceleration of a knee that there was
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,32 +37,44 @@ class PlantOptions:
 
     Units:
         height_m, speed_m_s: limits of a contact for a leg of 0.85 m; they grow with the leg.
-        softness: share of the leg's length over which it slows down before it is straight.
-        lower_hips: whether the hips may come down for a foot out of reach.
+        ground: ``auto``, ``flat``, ``slope``, ``steps``, or a known `Ground`.
+        blend_s: how long the speed of a correction takes to fade beside a contact.
+        level_feet: whether a foot that is flat is laid on the ground; it is kept from turning anyway.
+        move_hips: whether hips may come along.
     """
 
     height_m: float = 0.03
     speed_m_s: float = 0.25
-    softness: float = 0.01
-    lower_hips: bool = True
+    ground: Ground | GroundKind = "auto"
+    blend_s: float = 0.2
+    level_feet: bool = True
+    move_hips: bool = True
 
     def __post_init__(self) -> None:
-        if not (self.height_m > 0 and self.speed_m_s > 0 and 0 <= self.softness < 0.2):
-            raise ShapeError("options: expected positive limits and a softness from 0 to 0.2")
+        if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0):
+            raise ShapeError("options: expected positive limits and a positive blend_s")
+        if isinstance(self.ground, str) and self.ground not in GROUND_KINDS:
+            raise ShapeError(f"options: expected a ground of {', '.join(GROUND_KINDS)}, got {self.ground!r}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantResult:
     """The motion with planted feet.
 
-    Shapes and units: ``touching`` point -> (T,) bool for ``left_heel``, ``left_ball`` ...; ``moved_m`` (T,) how far the feet
-    were moved at most; ``short_m`` how far a planted foot stays from its anchor at most.
+    Shapes and units: ``touching`` point -> (T,) bool for ``left_heel``, ``left_ball`` ...; ``footing`` with the places of these
+    points afterwards; ``moved_m`` (T,) how far feet were moved at most, ``hips_m`` (T,) how far the hips; ``short_m`` how far a
+    planted foot stays from its anchor at most; ``knee_ratio`` the largest angular acceleration of a knee by that of before;
+    ``settled``: planting again would change nothing.
     """
 
     motion: Motion
     touching: Touching
+    footing: Footing
     moved_m: Floats
+    hips_m: Floats
     short_m: float
+    knee_ratio: float
+    settled: bool
 
 
 def plant_feet(
@@ -69,13 +86,16 @@ def plant_feet(
     heights: Floats | None = None,
     options: PlantOptions = PlantOptions(),
 ) -> PlantResult:
-    """A motion whose feet do not slide while they touch the ground.
+    """A motion whose feet do not slide while they touch the ground; planted once, it is left as it is.
 
     Shapes and units: ``touching`` as `foot_contacts` gives it (found in this motion, if not given); ``heights`` (J,) metres,
-    the height of every joint where it stands on the ground (if not given, where the foot is in its contacts).
+    the height of every joint where it stands on the ground (if not given, where feet stand in this motion).
+
+    Contacts that were not given are looked for again in the planted motion, and what is new is planted too, until nothing is.
 
     Raises:
         KeyposeError: where a leg has no hip, knee or foot.
+        ShapeError: where flags have other lengths than the motion.
 
     Source: L. Kovar, J. Schreiner and M. Gleicher, "Footskate cleanup for motion capture editing" (SCA 2002).
     """
@@ -83,216 +103,182 @@ def plant_feet(
         for part in ("upper_leg", "lower_leg", "foot"):
             if f"{side}_{part}" not in roles:
                 raise KeyposeError(f"feet cannot be planted: nothing plays {side}_{part}")
-    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, motion.pose.broadcast()))
-    leg_m = _leg_length(roles, places)
-    if touching is None:
-        touching = foot_contacts(
-            roles, places, motion.rate_hz, leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s
+    before = _Body(motion, skeleton, roles)
+    footing = before.look(options, heights)
+    if touching is not None:
+        for point, flags in touching.items():
+            if np.shape(flags) != (motion.frame_count,):
+                raise ShapeError(f"touching['{point}']: expected {motion.frame_count} flags, got {np.shape(flags)}")
+        footing = replace(footing, touching={p: np.asarray(touching.get(p, False)) & True for p in footing.points})
+        footing = replace(
+            footing, touching={p: np.broadcast_to(f, motion.frame_count) for p, f in footing.touching.items()}
         )
-    corrections = {side: _corrections(side, roles, places, touching, heights) for side in SIDES}
-    drop = np.zeros((len(places), 3))
-    if options.lower_hips:
-        drop = _hips_drop(roles, places, corrections, motion.rate_hz, options)
-    rotations = np.array(np.asarray(motion.pose.broadcast().rotations, np.float64))
-    short = 0.0
-    for side in SIDES:
-        missed = _bend_leg(
-            side, roles, skeleton, turned, places + drop[:, None], corrections[side] - drop, rotations, options
-        )
-        held = np.zeros(len(places), bool)
-        for point in ("heel", "ball"):
-            held |= touching.get(f"{side}_{point}", held)
-        short = max(short, float(missed[held].max(initial=0.0)))
-    pose = motion.pose.broadcast()
-    translations = np.array(np.asarray(pose.translations, np.float64))
-    hips = roles["hips"]
-    parent = int(skeleton.parents[hips])
-    size, above = np.ones(3), parent
-    while above >= 0:  # what hangs under a joint of another scale goes another way
-        size, above = size * np.asarray(pose.scales, np.float64)[:, above], int(skeleton.parents[above])
-    translations[:, hips] += drop if parent < 0 else quat.rotate(quat.conjugate(turned[:, parent]), drop) / size
-    dtype = pose.rotations.dtype
-    planted = Pose(
-        translations.astype(pose.translations.dtype), quat.align_signs(rotations, axis=0).astype(dtype), pose.scales
-    )
-    moved = np.max([np.linalg.norm(c, axis=-1) for c in corrections.values()], axis=0)
-    return PlantResult(replace(motion, pose=planted), touching, moved, short)
-
-
-def _leg_length(roles: Mapping[str, int], places: Floats) -> float:
-    hip, knee, foot = (places[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
-    return float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
-
-
-def _runs(track: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], track, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _corrections(
-    side: str,
-    roles: Mapping[str, int],
-    places: Floats,
-    touching: Touching,
-    heights: Floats | None,
-) -> Floats:
-    """How far the foot of a side has to be moved in every frame (T, 3)."""
-    points = {
-        name: roles[f"{side}_{role}"]
-        for name, role in (("heel", "foot"), ("ball", "toes"))
-        if f"{side}_{role}" in roles
-    }
-    flags = {name: np.asarray(touching.get(f"{side}_{name}", np.zeros(len(places), bool))) for name in points}
-    carrying = np.zeros(len(places), bool)
-    for flag in flags.values():
-        carrying |= flag
-    ground = {
-        name: float(heights[joint]) if heights is not None else float(np.median(places[flags[name], joint, 1]))
-        for name, joint in points.items()
-        if heights is not None or flags[name].any()
-    }
-    # So far the foot's lowest point is under (or, negative, over) the ground.
-    under = np.max(
-        [ground[name] - places[:, joint, 1] for name, joint in points.items() if name in ground],
-        axis=0,
-        initial=-np.inf,
-    )
-    result = np.zeros((len(places), 3))
-    runs = _runs(carrying)
-    for start, stop in runs:
-        result[start:stop] = _held(start, stop, points, flags, places)
-        result[start:stop, 1] = under[start:stop]
-    result = _bridged(result, runs)
-    if heights is not None:
-        result[:, 1] = np.maximum(result[:, 1], under)
+        return before.planted(footing, options, heights)
+    result = before.planted(footing, options, heights)
+    for _ in range(_ROUNDS):
+        after = _Body(result.motion, skeleton, roles)
+        again = after.look(options, heights)
+        if not any(path.moves for path in after.paths(again, options, heights)):
+            return replace(result, footing=again, settled=True)
+        more = {p: footing.touching[p] | f for p, f in again.touching.items()}
+        if all(np.array_equal(more[p], footing.touching[p]) for p in more):
+            # nothing new touches the ground, but what was found of it changed: from here on one after the other
+            planted = after.planted(again, options, heights)
+            moved = np.maximum(result.moved_m, planted.moved_m)
+            result = replace(planted, touching=more, moved_m=moved, knee_ratio=before.ratio(planted.motion))
+            continue
+        footing = replace(footing, touching=more)
+        result = before.planted(footing, options, heights)
     return result
 
 
-def _held(start: int, stop: int, points: Mapping[str, int], flags: Mapping[str, np.ndarray], places: Floats) -> Floats:
-    """The level correction through one contact, from landing to lifting."""
-    result = np.zeros((stop - start, 3))
-    # The ball carries as soon as it is down: a foot rolls about it.
-    carrier = ["ball" if "ball" in flags and flags["ball"][f] else "heel" for f in range(start, stop)]
-    anchor = places[start, points[carrier[0]]]
-    for n, name in enumerate(carrier):
-        place = places[start + n, points[name]]
-        if n > 0 and name != carrier[n - 1]:
-            # where the next point is now, with the correction that the foot has now, it stays
-            anchor = place + anchor - places[start + n, points[carrier[n - 1]]]
-        result[n] = anchor - place
-    return result - result.mean(axis=0)
+class _Body:
+    """A motion's legs in the model's space."""
 
+    def __init__(self, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> None:
+        self.motion, self.skeleton, self.roles = motion, skeleton, roles
+        pose = motion.pose.broadcast()
+        exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
+        self.pose = exact
+        self.turned, self.places = (np.asarray(a) for a in world_rotations_positions(skeleton, exact))
+        self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
+        self.leg_m = float(self.legs[0].length[0])
+        self.size = self.leg_m / _LEG_M
 
-def _bridged(result: Floats, runs: list[tuple[int, int]]) -> Floats:
-    """Corrections between contacts: cubic, with the speed they have at both; before the first and after the last they stay."""
-    if not runs:
-        return result
-    result[: runs[0][0]] = result[runs[0][0]]
-    result[runs[-1][1] :] = result[runs[-1][1] - 1]
-
-    def slope(frame: int, other: int) -> Floats:
-        return (result[frame] - result[other]) * np.sign(frame - other) if frame != other else np.zeros(3)
-
-    for (before, start), (stop, after) in itertools.pairwise(runs):
-        gap = stop - (start - 1)
-        u = np.arange(1, gap) / gap
-        last = start - 1
-        leaving = slope(last, max(last - 1, before))
-        landing = slope(min(stop + 1, after - 1), stop)
-        result[start:stop] = spline.hermite(
-            result[last], leaving, result[stop], landing, u, np.full(len(u), float(gap))
+    def look(self, options: PlantOptions, heights: Floats | None) -> Footing:
+        """Where feet stand."""
+        footing = find_footing(
+            self.roles,
+            self.places,
+            self.motion.rate_hz,
+            self.leg_m,
+            height_m=options.height_m,
+            speed_m_s=options.speed_m_s,
+            ground=options.ground,
         )
-    return result
+        return footing if heights is None else self._stood(footing, heights)
+
+    def _stood(self, footing: Footing, heights: Floats) -> Footing:
+        """The footing with heights at which joints are known to stand over a level ground at 0."""
+        toes = {side: f"{side}_toes" for side in SIDES}
+        stand: dict[str, float] = {}
+        soles = dict(footing.soles)
+        for side in SIDES:
+            ankle = float(heights[self.roles[f"{side}_foot"]])
+            stand[side] = ankle
+            if toes[side] in self.roles:
+                ball = float(heights[self.roles[toes[side]]])
+                stand[side] = ball
+                foot, toe = self.roles[f"{side}_foot"], self.roles[toes[side]]
+                length = float(np.linalg.norm(self.places[0, toe] - self.places[0, foot]))
+                soles[side] = replace(soles[side], flat=float(np.arcsin(np.clip((ball - ankle) / length, -1.0, 1.0))))
+        return replace(footing, ground=Ground(), stand_m=stand, soles=soles)
+
+    def paths(self, footing: Footing, options: PlantOptions, heights: Floats | None) -> list[FootPath]:
+        """What is to be added to both feet."""
+        found: list[FootPath] = []
+        for side, leg in zip(SIDES, self.legs, strict=True):
+            toes = self.roles.get(f"{side}_toes")
+            ball = None if toes is None else self.places[:, toes]
+            turned = self.turned[:, leg.foot]
+            sink = (_SINK_M if heights is None else _SINK_KNOWN_M) * self.size
+            found.append(
+                foot_path(side, footing, leg.ankle, turned, ball, self.size, options.blend_s, options.level_feet, sink)
+            )
+        return found
+
+    def planted(self, footing: Footing, options: PlantOptions, heights: Floats | None) -> PlantResult:
+        """The motion with these contacts held."""
+        paths = self.paths(footing, options, heights)
+        frames = self.motion.frame_count
+        if not any(path.moves for path in paths):
+            none = np.zeros(frames)
+            return PlantResult(self.motion, footing.touching, footing, none, none, 0.0, 1.0, True)
+        hips = np.zeros((frames, 3))
+        if options.move_hips:
+            hips = self._hips(paths)
+        rotations = np.array(self.pose.rotations)
+        short = 0.0
+        for leg, path in zip(self.legs, paths, strict=True):
+            if path.moves or np.any(hips):
+                hangs = leg.upper in self._above(leg.foot)
+                missed = bend_leg(leg, self.skeleton, self.turned, hips, path, rotations, hangs)
+                short = max(short, float(missed[path.held].max(initial=0.0)))
+        translations = np.array(self.pose.translations)
+        joint = self._carrier()
+        translations[:, joint] += self._under(int(self.skeleton.parents[joint]), hips)
+        for leg, path in zip(self.legs, paths, strict=True):
+            if leg.upper not in self._above(leg.foot):
+                # a foot that does not hang on the leg, as some rigs have it, goes itself
+                own = path.shift - (hips if joint in self._above(leg.foot) else 0.0)
+                translations[:, leg.foot] += self._under(int(self.skeleton.parents[leg.foot]), own)
+        given = self.motion.pose
+        made = Pose(
+            translations.astype(np.result_type(given.translations)),
+            quat.align_signs(rotations, axis=0).astype(np.result_type(given.rotations)),
+            self.motion.pose.broadcast().scales,
+        )
+        result = replace(self.motion, pose=made)
+        moved = np.max([np.linalg.norm(path.shift, axis=-1) for path in paths], axis=0)
+        away = np.linalg.norm(hips, axis=-1)
+        return PlantResult(result, footing.touching, footing, moved, away, short, self.ratio(result), False)
+
+    def _hips(self, paths: list[FootPath]) -> Floats:
+        """The hips' path; with more care for knees around frames in which one would jump."""
+        rate = self.motion.rate_hz
+        hips = hips_path(self.legs, paths, rate)
+        peak = max(_peak(knee_angles(leg), rate) for leg in self.legs)
+        care = np.ones(self.motion.frame_count)
+        best, least = hips, np.inf
+        for _ in range(6):
+            over = np.zeros(len(care))
+            for leg, path in zip(self.legs, paths, strict=True):
+                angles = reached_angles(leg, np.linalg.norm(leg.ankle + path.shift - leg.hip - hips, axis=-1))
+                over[1:-1] = np.maximum(over[1:-1], np.abs(np.diff(angles, 2)) * rate * rate)
+            worst = float(over.max(initial=0.0))
+            if worst < least:
+                best, least = hips, worst
+            if worst <= _KNEE_LIMIT * peak:
+                break
+            # around the jumps, as far as a tenth of a second
+            near = np.convolve(over > _KNEE_LIMIT * peak, np.ones(2 * round(0.1 * rate) + 1), "same") > 0
+            care = np.where(near, 4.0 * care, care)
+            hips = hips_path(self.legs, paths, rate, care)
+        return best
+
+    def _carrier(self) -> int:
+        """The joint that moves both legs: the hips, or what is above both."""
+        above = [self._above(leg.upper) for leg in self.legs]
+        shared = [joint for joint in above[0] if joint in above[1]]
+        hips = self.roles.get("hips", -1)
+        return hips if hips in shared or not shared else shared[0]
+
+    def _above(self, joint: int) -> list[int]:
+        """What a joint hangs on, nearest first."""
+        line = list[int]()
+        while (joint := int(self.skeleton.parents[joint])) >= 0:
+            line.append(joint)
+        return line
+
+    def _under(self, parent: int, moved: Floats) -> Floats:
+        """A way in the model's space (T, 3) in the axes of a joint."""
+        if parent < 0:
+            return moved
+        local = quat.rotate(quat.conjugate(self.turned[:, parent]), moved)
+        while parent >= 0:
+            local = local / self.pose.scales[:, parent]
+            parent = int(self.skeleton.parents[parent])
+        return local
+
+    def ratio(self, motion: Motion) -> float:
+        """The largest angular acceleration of a knee in a motion by that in this one."""
+        pose = motion.pose.broadcast()
+        exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
+        turned, places = (np.asarray(a) for a in world_rotations_positions(self.skeleton, exact))
+        legs = [find_leg(side, self.roles, self.skeleton, turned, places) for side in SIDES]
+        peaks = [max(_peak(knee_angles(leg), motion.rate_hz) for leg in group) for group in (self.legs, legs)]
+        return peaks[1] / peaks[0] if peaks[0] > 1e-9 else 1.0
 
 
-def _smooth_over(need: Floats, frames: float) -> Floats:
-    """A smooth curve (T,) that is never under ``need``."""
-    half = max(1, round(frames))
-    widest = maximum_filter1d(need, 2 * half + 1, mode="nearest")
-    # A mean over no more than the width of the maximum cannot fall under what the maximum covers.
-    return uniform_filter1d(uniform_filter1d(widest, half | 1, mode="nearest"), half | 1, mode="nearest")
-
-
-def _hips_drop(
-    roles: Mapping[str, int], places: Floats, corrections: Mapping[str, Floats], rate_hz: float, options: PlantOptions
-) -> Floats:
-    """How far the hips come down so that both feet are in reach, smooth in time (T, 3)."""
-    need = np.zeros(len(places))
-    for side in SIDES:
-        hip, knee, foot = (places[:, roles[f"{side}_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
-        reach = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(foot - knee, axis=-1)
-        far = foot + corrections[side] - hip
-        limit = (1.0 - 2.0 * options.softness) * reach
-        # A leg that was as straight as that before needs no help.
-        limit = np.maximum(limit, np.linalg.norm(foot - hip, axis=-1))
-        level = np.hypot(far[:, 0], far[:, 2])
-        height = np.sqrt(np.clip(limit**2 - level**2, 0.0, None))
-        need = np.maximum(need, np.clip(-far[:, 1] - height, 0.0, 0.25 * reach))
-    smooth = _smooth_over(need, 0.2 * rate_hz)
-    return np.stack([np.zeros_like(smooth), -smooth, np.zeros_like(smooth)], axis=-1)
-
-
-def _bend_leg(
-    side: str,
-    roles: Mapping[str, int],
-    skeleton: Skeleton,
-    turned: Floats,
-    places: Floats,
-    correction: Floats,
-    rotations: Floats,
-    options: PlantOptions,
-) -> Floats:
-    """Turn a leg's joints (in ``rotations``) so that its foot is moved by ``correction``; returns the distance left (T,)."""
-    upper, lower, foot = (roles[f"{side}_{part}"] for part in ("upper_leg", "lower_leg", "foot"))
-    hip, knee, ankle = places[:, upper], places[:, lower], places[:, foot]
-    upper_m, lower_m = (
-        float(np.linalg.norm(knee - hip, axis=-1).mean()),
-        float(np.linalg.norm(ankle - knee, axis=-1).mean()),
-    )
-    pole = _pole(hip, knee, ankle, turned[:, upper], _forward(skeleton, upper, lower, foot))
-    solved = solve_limb(
-        hip,
-        ankle + correction,
-        pole,
-        upper_m=upper_m,
-        lower_m=lower_m,
-        softness_m=options.softness * (upper_m + lower_m),
-    )
-    still = np.linalg.norm(correction, axis=-1) < 1e-9
-    old_normal = np.cross(ankle - hip, pole)
-    turn_upper = rotation_between_frames(knee - hip, old_normal, solved.middle - hip, solved.normal)
-    turn_lower = rotation_between_frames(ankle - knee, old_normal, solved.end - solved.middle, solved.normal)
-    for turn in (turn_upper, turn_lower):
-        turn[still] = (1.0, 0.0, 0.0, 0.0)
-    parents = skeleton.parents
-    above = int(parents[upper])
-    new_upper = quat.multiply(turn_upper, turned[:, upper])
-    rotations[:, upper] = new_upper if above < 0 else quat.multiply(quat.conjugate(turned[:, above]), new_upper)
-    over_knee = quat.multiply(turn_upper, turned[:, int(parents[lower])])
-    rotations[:, lower] = quat.multiply(quat.conjugate(over_knee), quat.multiply(turn_lower, turned[:, lower]))
-    over_foot = quat.multiply(turn_lower, turned[:, int(parents[foot])])
-    rotations[:, foot] = quat.multiply(quat.conjugate(over_foot), turned[:, foot])
-    return np.where(still, 0.0, np.linalg.norm(ankle + correction - solved.end, axis=-1))
-
-
-def _forward(skeleton: Skeleton, upper: int, lower: int, foot: int) -> Floats:
-    """Where the knee bends, in the upper joint's axes: across the leg at rest, forwards."""
-    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, skeleton.rest))
-    line = places[foot] - places[upper]
-    along = line / max(float(np.linalg.norm(line)), 1e-12)
-    bend = places[lower] - places[upper]
-    bend = bend - along * float(bend @ along)
-    if float(np.linalg.norm(bend)) < 1e-3 * float(np.linalg.norm(line)):
-        bend = np.array([0.0, 0.0, 1.0]) - along * float(along[2])
-    return quat.rotate(quat.conjugate(turned[upper]), bend / max(float(np.linalg.norm(bend)), 1e-12))
-
-
-def _pole(hip: Floats, knee: Floats, ankle: Floats, turned: Floats, forward: Floats) -> Floats:
-    """Where the knee is, across the leg; a leg that is nearly straight takes the way it bends at rest (T, 3)."""
-    line = ankle - hip
-    along = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-12)
-    out = (knee - hip) - along * np.sum((knee - hip) * along, axis=-1, keepdims=True)
-    bent = np.linalg.norm(out, axis=-1, keepdims=True)
-    limit = 0.03 * np.linalg.norm(knee - hip, axis=-1, keepdims=True)
-    share = np.clip(1.0 - bent / limit, 0.0, 1.0)
-    return out + share * limit * quat.rotate(turned, np.broadcast_to(forward, hip.shape))
+def _peak(angles: Floats, rate_hz: float) -> float:
+    return float(np.abs(np.diff(angles, 2)).max(initial=0.0)) * rate_hz**2
