@@ -17,6 +17,8 @@ EYE = np.eye(4)
 def frames_of(pose: Pose, count: int) -> Floats:
     """Local frames of a pose, joint by joint: (J, N, 4, 4), N the batch flattened or 1 where all poses are one."""
     arrays = [np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)]
+    # quaternions of files have the length 1 of float32 alone, which would count as a scale
+    arrays[1] = arrays[1] / np.maximum(np.sqrt(np.sum(arrays[1] ** 2, axis=-1, keepdims=True)), 1e-300)
     batch = pose.batch_shape
     if not batch or all(a.ndim == 2 for a in arrays):
         return rigid.from_trs(*arrays).reshape(-1, 1, 4, 4)
@@ -45,10 +47,18 @@ def lengths(linear: Floats) -> Floats:
 
 
 def rotation(m: Floats) -> Floats:
-    """The rotation part (..., 3, 3) of frames without shear; a mirrored frame stays mirrored."""
-    linear = m[..., :3, :3]
-    size = lengths(linear)
-    return linear / np.where(size == 0, 1.0, size)[..., None, :]
+    """The rotation part (..., 3, 3): X keeps its direction, Y its plane with X; a mirrored frame stays mirrored."""
+    x, y, z = (m[..., :3, n] for n in range(3))
+    x = unit(x)
+    y = unit(y - np.sum(x * y, axis=-1, keepdims=True) * x)
+    z = z - np.sum(x * z, axis=-1, keepdims=True) * x - np.sum(y * z, axis=-1, keepdims=True) * y
+    return np.stack([x, y, unit(z)], axis=-1)
+
+
+def stretched(linear: Floats) -> tuple[Floats, Floats]:
+    """The rotation (..., 3, 3) and what is left of a linear part, scales and shear: linear = rotation @ rest."""
+    turned = rotation(linear)
+    return turned, np.swapaxes(turned, -1, -2) @ linear[..., :3, :3]
 
 
 def frame(linear: Floats, place: Floats) -> Floats:

@@ -19,16 +19,23 @@ from keypose.rig.frames import (
     cross,
     frame,
     inverse,
-    lengths,
     mixed,
     moved,
     oriented,
     rotation,
     spin,
+    stretched,
     unit,
 )
 from keypose.rig.plan import Plan
 from keypose.rig.state import State
+
+# Of the reach: what a pole cannot say of a limb at rest, above rounding.
+_ASIDE = 1e-6
+
+# Of the reach: the middle of a straight limb goes as the square root of its reach, so that rounding shows unless the reach at
+# rest is met exactly.
+_AT_REST = 1e-14
 
 PIVOTS = ("roll", "bank", "heel", "ball", "tip", "swivel")
 
@@ -46,6 +53,7 @@ class _Limb:
     goal: int
     pole: int
     normals: tuple[Floats, Floats]
+    lengths_m: tuple[float, float, float]
     rest_reach: float
     bend: Floats
     between: tuple[tuple[int, ...], tuple[int, ...]]
@@ -76,8 +84,6 @@ def _limb(plan: Plan, module: LimbModule) -> _Limb:
     cosine, sine = _triangle(np.array(reach), np.array(upper_m), np.array(lower_m))
     missed = b - (a + upper_m * (cosine * along + sine * side))
     bend = np.array([missed @ along, missed @ side, missed @ normal]) / max(upper_m + lower_m, 1e-12)
-    if np.abs(bend).max() < 1e-7:
-        bend = np.zeros(3)
     between = tuple(_path(plan, upper, lower) for upper, lower in ((joints[0], joints[1]), (joints[1], joints[2])))
     return _Limb(
         (joints[0], joints[1], joints[2]),
@@ -85,6 +91,7 @@ def _limb(plan: Plan, module: LimbModule) -> _Limb:
         goal,
         pole,
         (turns[0].T @ normal, turns[1].T @ normal),
+        (upper_m, lower_m, reach),
         reach / max(upper_m + lower_m, 1e-12),
         bend,
         (between[0], between[1]),
@@ -93,7 +100,7 @@ def _limb(plan: Plan, module: LimbModule) -> _Limb:
 
 def is_bent_aside(plan: Plan, module: LimbModule) -> bool:
     """Whether the middle joint lies at rest beside where its pole would have it: a knee that is bent backwards a little."""
-    return bool(_limb(plan, module).bend.any())
+    return bool(np.abs(_limb(plan, module).bend).max() > _ASIDE)
 
 
 def _path(plan: Plan, upper: int, lower: int) -> tuple[int, ...]:
@@ -204,15 +211,15 @@ def _rolled(state: State, foot: FootPivots, carried: Floats, axes: Floats, end: 
 def _bones(state: State, limb: _Limb) -> _Bones:
     upper = state.above(limb.joints[0]) @ state.base[limb.joints[0]]
     to_middle, to_end = (_product(state, path) for path in limb.between)
-    size = lengths(upper[..., :3, :3])
-    middle = rotation(upper) * size[..., None, :] @ to_middle[..., :3, :3]
-    middle_size = lengths(middle)
-    end = rotation(middle) * middle_size[..., None, :] @ to_end[..., :3, :3]
+    # scales (and the shear of scales that differ by rounding) go with each joint as they are
+    size = stretched(upper)[1]
+    middle_size = stretched(size @ to_middle[..., :3, :3])[1]
+    end_size = stretched(middle_size @ to_end[..., :3, :3])[1]
     return _Bones(
         upper[..., :3, 3],
-        size * to_middle[..., :3, 3],
-        middle_size * to_end[..., :3, 3],
-        (size, middle_size, lengths(end)),
+        moved(size, to_middle[..., :3, 3]),
+        moved(middle_size, to_end[..., :3, 3]),
+        (size, middle_size, end_size),
     )
 
 
@@ -241,12 +248,24 @@ def _reach(state: State, module: LimbModule, limb: _Limb, goal: Floats) -> list[
     along = np.where(none, np.array([0.0, -1.0, 0.0]), unit(wish))
     side = across(pole, along, np.array([0.0, 0.0, 1.0]))
     normal = cross(along, side)
+    whole_rest = limb.lengths_m[0] + limb.lengths_m[1]
+    near = [
+        np.abs(a - b) <= _AT_REST * whole_rest for a, b in zip((upper_m, lower_m, used), limb.lengths_m, strict=True)
+    ]
+    still = near[0] & near[1] & near[2]
+    upper_m, lower_m, used = (
+        np.where(still, b, a) for a, b in zip((upper_m, lower_m, used), limb.lengths_m, strict=True)
+    )
     cosine, sine = _triangle(used, upper_m, lower_m)
     middle = bones.start + upper_m[..., None] * (cosine[..., None] * along + sine[..., None] * side)
     end = bones.start + used[..., None] * along
-    if limb.bend.any():
-        share = _fade(used / np.maximum(whole, 1e-12), limb.rest_reach) * whole
-        share = share * np.clip(state.values.get(module.attribute("rest_bend"), np.ones(1)), 0.0, 1.0)
+    aside = module.attribute("rest_bend")
+    if aside in state.values or np.any(still):
+        share = still.astype(np.float64)
+        if aside in state.values:
+            faded = _fade(used / np.maximum(whole, 1e-12), limb.rest_reach)
+            share = np.clip(state.values[aside], 0.0, 1.0) * faded
+        share = share * whole
         shift = limb.bend * share[..., None]
         middle = middle + shift[..., :1] * along + shift[..., 1:2] * side + shift[..., 2:] * normal
     turns = []
@@ -256,13 +275,11 @@ def _reach(state: State, module: LimbModule, limb: _Limb, goal: Floats) -> list[
         towards = oriented(direction, across(normal, direction, side))
         if np.any(twist):
             towards = spin(direction, np.broadcast_to(twist, direction.shape[:-1])) @ towards
-        at_rest = oriented(own, across(limb.normals[n], own, np.array([1.0, 0.0, 0.0])))
-        turns.append(towards @ np.swapaxes(at_rest, -1, -2))
+        own_axes = oriented(own, across(limb.normals[n], own, np.array([1.0, 0.0, 0.0])))
+        turns.append(towards @ np.swapaxes(own_axes, -1, -2))
     places = (bones.start, middle, end)
     turned = (turns[0], turns[1], rotation(goal))
-    return [
-        frame(turn * size[..., None, :], place) for turn, size, place in zip(turned, bones.scales, places, strict=True)
-    ]
+    return [frame(turn @ size, place) for turn, size, place in zip(turned, bones.scales, places, strict=True)]
 
 
 def _fade(reach: Floats, rest: float) -> Floats:
