@@ -407,6 +407,54 @@ def retarget(
 
 
 @app.command(
+    epilog=_examples(
+        "keypose rig hero.glb [dim]# its controls[/dim]",
+        "keypose rig hero.glb hero.keypose [dim]# a project to pose and key them in: keypose studio hero.keypose[/dim]",
+        "keypose rig sample:human walk.keypose --motion sample:walk [dim]# a motion as keys on controls[/dim]",
+        "keypose convert walk.keypose walk.glb [dim]# and back to joints[/dim]",
+    )
+)
+def rig(
+    character: Annotated[
+        str, typer.Argument(metavar="CHARACTER", help="A file with a humanoid, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="The project to write, OUT.keypose.", show_default=False)
+    ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option("--motion", metavar="FILE", help="A motion to be keyed on the controls; retargeted where needed."),
+    ] = None,
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Keys per second of the motion.", min=0.001)] = None,
+    roles: Annotated[
+        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
+    ] = None,
+    skeleton: SkeletonFile = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the rig as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
+    from keypose.cli.rig import rig_file
+
+    rig_file(
+        character,
+        output,
+        motion=motion,
+        clip=clip,
+        rate_hz=rate,
+        roles=roles,
+        as_json=json,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        quiet=quiet,
+    )
+
+
+@app.command(
     epilog=_examples("keypose roles hero.fbx", "keypose roles hero.fbx map.json [dim]# correct it by hand[/dim]")
 )
 def roles(

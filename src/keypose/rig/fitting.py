@@ -44,7 +44,7 @@ class RigFit:
     """Controls fitted to a motion.
 
     Shapes and units:
-        clip: a key per frame on every control that leaves its rest, on attributes, and on joints that the rig does not move.
+        clip: a key per frame on every control that leaves its rest, on attributes, on joints that the rig does not move, and on morphs.
         control_pose, values: the same as arrays, (T,).
         error_m, error_deg: the greatest difference of any joint's place and rotation to the motion, for the clip as it is.
         fk_error_m, ik_error_m: the same with every limb and the spine switched to FK, and to IK.
@@ -89,6 +89,7 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
             **_pose_curves(controls, rig.controls, motion.times_s),
             **_value_curves(found, motion.times_s),
             **_pose_curves(passive, skeleton, motion.times_s),
+            **_morph_curves(motion),
         },
         motion.name,
         motion.rate_hz,
@@ -299,6 +300,15 @@ def _value_curves(values: Mapping[str, Array], times: Floats) -> dict[Channel, C
         mode = Interpolation.STEP if name.endswith(".space") else Interpolation.LINEAR
         curves[Channel(name, Property.VALUE)] = Curve(times[keys], value[keys, None], mode, kind=CurveKind.SCALAR)
     return curves
+
+
+def _morph_curves(motion: Motion) -> dict[Channel, Curve]:
+    if motion.morph_weights is None:
+        return {}
+    weights = {Channel(name, Property.WEIGHT): motion.morph_weights[:, n] for n, name in enumerate(motion.morph_names)}
+    return {
+        channel: Curve(motion.times_s, weight[:, None], kind=CurveKind.SCALAR) for channel, weight in weights.items()
+    }
 
 
 # ---- shapes ------------------------------------------------------------------------------------------------------------

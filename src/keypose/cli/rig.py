@@ -1,0 +1,179 @@
+"""`keypose rig`: a character's controls, listed, or written as a project, with a motion on them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from keypose.cli.console import console
+from keypose.cli.convert import not_an_input
+from keypose.cli.inputs import file_word, open_input
+from keypose.errors import FormatError
+from keypose.model import Character, Clip, Document, Rig, Scene, module_joints
+
+if TYPE_CHECKING:
+    from keypose.rig import RigFit
+
+_FILM_HZ = 25.0
+
+
+def rig_file(
+    character: str,
+    output: Path | None,
+    *,
+    motion: str | None,
+    clip: str | None,
+    rate_hz: float | None,
+    roles: Path | None,
+    as_json: bool,
+    unit: str | None,
+    up: str | None,
+    skeleton: str | None,
+    quiet: bool,
+) -> None:
+    """Rig a character and list its controls, or write both as a project.
+
+    Raises:
+        FormatError: where an input has no skeleton or no motion, or the output is no project.
+        KeyposeError: where the character is no humanoid.
+    """
+    from keypose.rig import auto_rig
+
+    if output is not None:
+        if output.suffix.lower() != ".keypose":
+            raise FormatError("expected a name that ends with .keypose: only a project keeps a rig", path=output)
+        not_an_input(output, [r for r in (character, motion) if r is not None])
+    cast = open_input(character, unit=unit, up=up)
+    if not cast.characters:
+        raise FormatError("it has no skeleton", path=character)
+    who = cast.character
+    who = replace(who, name=who.name or Path(character.removeprefix("sample:")).stem)
+    rig = auto_rig(who.skeleton, _saved_roles(roles, who), character=who)
+    if as_json:
+        _print_json(rig)
+    if output is None:
+        if not as_json:
+            _print_controls(rig)
+        return
+    fit, notes = None, tuple[str, ...]()
+    if motion is not None:
+        fit, notes = _fitted(rig, who, motion, clip, rate_hz, skeleton)
+    _save(rig, who, cast, fit, output)
+    if not (quiet or as_json):
+        _report(rig, fit, notes, output)
+
+
+def _saved_roles(path: Path | None, who: Character) -> Any:
+    from keypose.analysis import roles_from_json
+
+    if path is None:
+        return None
+    try:
+        return roles_from_json(path.read_text(encoding="utf-8"), who.skeleton)
+    except OSError as error:
+        raise FormatError(error.strerror or str(error), path=path) from None
+
+
+def _fitted(
+    rig: Rig, who: Character, motion: str, clip: str | None, rate_hz: float | None, skeleton: str | None
+) -> tuple[RigFit, tuple[str, ...]]:
+    """A motion on the controls; one of another skeleton is retargeted first."""
+    from keypose import evaluate
+    from keypose.rig import fit_controls
+
+    performed = open_input(motion, skeleton=skeleton)
+    if not performed.animations:
+        raise FormatError("it has no motion", path=motion)
+    animation = performed.animations[0] if clip is None else performed.animation(clip)
+    own = set(evaluate.match_report(animation, who.skeleton).sources)
+    moved = {j for module in rig.modules for j in module_joints(module)}
+    notes: tuple[str, ...] = ()
+    if len(own & moved) < 0.5 * len(moved) and performed.characters:
+        from keypose.retarget import retarget
+
+        done = retarget(animation, performed.character.skeleton, who.skeleton, rate_hz=rate_hz)
+        notes = ("its joints have other names; it was retargeted", *done.notes)
+        baked = replace(done.motion, name=animation.name)
+    elif isinstance(animation, Clip):
+        rate = rate_hz or evaluate.key_rate(animation) or animation.rate_hz or _FILM_HZ
+        baked = evaluate.bake(animation, who.skeleton, rate)
+    else:
+        baked = animation if rate_hz is None else evaluate.resample(animation, rate_hz)
+    return fit_controls(rig, who.skeleton, replace(baked, name=baked.name or Path(motion).stem)), notes
+
+
+def _save(rig: Rig, who: Character, cast: Scene, fit: RigFit | None, output: Path) -> None:
+    from keypose.project import add_character, import_animation
+    from keypose.project.commands import SetRig
+    from keypose.project.file import save
+
+    document = add_character(Document(output.stem), who)
+    (name,) = document.characters
+    document = SetRig(replace(rig, name=name, character=name)).apply(document)
+    for animation in cast.animations:
+        document = import_animation(document, animation)
+    if fit is not None:
+        track = document.timeline(document.performs[name])
+        place = track.layers[0].placements[0]
+        keyed = replace(fit.clip, name=place.animation)
+        layers = (replace(track.layers[0], placements=(replace(place, in_s=0.0),)),)
+        track = replace(
+            track, layers=layers, rate_hz=keyed.rate_hz or track.rate_hz, start_s=keyed.start_s, end_s=keyed.end_s
+        )
+        document = replace(
+            document,
+            clips={**document.clips, keyed.name: keyed},
+            timelines={**document.timelines, track.name: track},
+        )
+    save(document, output)
+
+
+def _report(rig: Rig, fit: RigFit | None, notes: tuple[str, ...], output: Path) -> None:
+    from rich.markup import escape
+
+    out = console()
+    out.print(
+        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
+        f"{file_word(rig.controls.joint_count, 'control')}, {file_word(len(rig.attributes), 'attribute')})[/dim]"
+    )
+    for note in notes:
+        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+    if fit is not None:
+        frames = len(fit.control_pose.rotations)
+        out.print(
+            f"  {file_word(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
+            f"{fit.error_deg:.2g} degrees; all FK {1e3 * fit.fk_error_m:.3g} mm, all IK {1e3 * fit.ik_error_m:.3g} mm"
+        )
+
+
+def _print_controls(rig: Rig) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    table = Table(box=None, pad_edge=False)
+    for title in ("control", "shape", "carried by", "attributes"):
+        table.add_column(title, header_style="dim")
+    depths = rig.controls.depths()
+    for n, look in enumerate(rig.looks):
+        parent = int(rig.controls.parents[n])
+        carried = ", ".join(s.name for s in look.spaces) or (rig.controls.names[parent] if parent >= 0 else "")
+        beside = [a.name for a in rig.attributes if a.control == look.name and a.name != look.space_attribute]
+        table.add_row(
+            "  " * int(depths[n]) + escape(look.name), look.shape.value, escape(carried), escape(", ".join(beside))
+        )
+    out.print(table)
+    moved = len(rig.joints)
+    out.print(
+        f"[dim]{file_word(rig.controls.joint_count, 'control')} and {file_word(len(rig.attributes), 'attribute')} move "
+        f"{file_word(moved, 'joint')}[/dim]"
+    )
+
+
+def _print_json(rig: Rig) -> None:
+    import json
+
+    from keypose.io.native_rigs import rig_json
+
+    print(json.dumps(rig_json(rig, lambda array: array.tolist()), indent=1))
