@@ -73,8 +73,7 @@ def foot_path(
     for start, stop in runs:
         shift[start:stop] = _held(side, footing, start, stop, balls, ankle, offsets, size)
     shift = bridged(shift, runs, blend)
-    if ball is not None:
-        shift[:, 1] += _lifts(side, footing, runs, ankle + shift, offsets, sink_m)
+    shift[:, 1] += _lifts(side, footing, runs, ankle + shift, offsets, sink_m)
     return FootPath(shift, turn, heels | balls)
 
 
