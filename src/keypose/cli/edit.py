@@ -46,13 +46,13 @@ def edit_file(
     output: Path,
     edits: Edits,
     *,
-    clip: str | None,
-    rate_hz: float | None,
-    unit: str | None,
-    up: str | None,
-    skeleton: str | None,
-    options: Sequence[str],
-    quiet: bool,
+    clip: str | None = None,
+    rate_hz: float | None = None,
+    unit: str | None = None,
+    up: str | None = None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+    quiet: bool = False,
 ) -> None:
     """Edit a motion and write it with its character: first its speed, then its path, then poses, then places to reach.
 

@@ -13,7 +13,7 @@ from keypose.editing.modes import set_interpolation
 from keypose.editing.selection import SAME_TIME_S
 from keypose.evaluate import bake
 from keypose.math import quat
-from keypose.model import Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
+from keypose.model import ROTATION_ONLY, Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
 
 FALLBACK_RATE_HZ = 30.0
 """Frames a second of a clip that does not say its own."""
@@ -28,8 +28,8 @@ def edit_frames(clip: Clip, skeleton: Skeleton, change: Callable[[Motion], Motio
     """A clip after a change of its frames, at its own rate.
 
     A joint whose rotation, translation or scale changes gets a key in every frame that changed, in straight spans; its keys
-    before and after stay, and its curve there with them. Euler angles and single components of such a joint become one
-    curve with a key for every frame. Channels that do not change are those of the clip.
+    before and after stay, and its curve there with them. Euler angles, single components and splines on the sphere of such a
+    joint become one curve with a key for every frame. Channels that do not change are those of the clip.
     """
     before = bake(clip, skeleton, clip_rate(clip))
     after = change(before)
@@ -50,7 +50,8 @@ def edit_frames(clip: Clip, skeleton: Skeleton, change: Callable[[Motion], Motio
             if kind is CurveKind.ROTATION:
                 values = quat.align_signs(values, axis=0)
             curve = curves.get(channel)
-            if parts:
+            # A spline on the sphere is shaped by its neighbours; cut anywhere, it would change elsewhere too.
+            if parts or (curve is not None and np.isin(curve.modes, ROTATION_ONLY).any()):
                 changed = np.ones(len(changed), bool)
             curves[channel] = _put_frames(curve, before.times_s, values, changed, np.asarray(a[:, joint]), kind)
     return replace(clip, curves=curves)

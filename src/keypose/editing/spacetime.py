@@ -48,7 +48,7 @@ class SpacetimeOptions:
         limit_weight: how much a radian beyond a joint's limit counts, soft.
         hard_weight: the same of a metre or radian missed by a hard constraint; so large that nothing visible is missed.
         iterations: steps at most.
-        tolerance: the share of the cost under which a step ends the work.
+        tolerance: a step that gains less than this share of what the change itself costs ends the work.
         open_ends: whether the change need not fade where the window ends with the motion.
     """
 
@@ -58,7 +58,7 @@ class SpacetimeOptions:
     limit_weight: float = 100.0
     hard_weight: float = 1e4
     iterations: int = 100
-    tolerance: float = 1e-6
+    tolerance: float = 1e-5
     open_ends: bool = True
 
     def __post_init__(self) -> None:
@@ -243,9 +243,12 @@ class SpacetimeProblem:
             enough = wanted.tolerance if softer == 1.0 else 1e-3
             costs = [self.cost(unknowns)]
             damping, converged = 1e-6, False
-            while not converged and steps < wanted.iterations:
+            most = wanted.iterations if softer == 1.0 else steps + wanted.iterations // 4
+            while not converged and steps < most:
                 unknowns, cost, damping = self._step(unknowns, costs[-1], damping)
-                converged = costs[-1] - cost <= enough * costs[-1]
+                # Beside what the motion loses; what is missed out of reach would hide it. Rounding ends the work, too.
+                change = 0.5 * float(unknowns @ (self.quadratic @ unknowns))
+                converged = costs[-1] - cost <= max(enough * change, 1e-13 * cost)
                 costs.append(cost)
                 steps += 1
                 if progress is not None:
@@ -262,7 +265,7 @@ class SpacetimeProblem:
         ways = [plain, plain + self.bow(unknowns)]
         size = sparse.diags_array(self.quadratic.diagonal() + 1e-9)
         while damping < 1e9:
-            tried = [unknowns - splu((way + damping * size).tocsc()).solve(slope) for way in ways]
+            tried = [unknowns - _factored(way + damping * size).solve(slope) for way in ways]
             costs = [self.cost(t) for t in tried]
             best = int(np.argmin(costs))
             if costs[best] <= cost:
@@ -421,3 +424,8 @@ class SpacetimeProblem:
         if not blocks:
             return np.zeros(0), sparse.csr_array((0, columns))
         return np.concatenate(values), sparse.vstack(blocks)
+
+
+def _factored(matrix: Any) -> Any:
+    """The factors of a symmetric matrix, in an order that keeps them sparse."""
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

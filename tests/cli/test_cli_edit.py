@@ -1,0 +1,84 @@
+"""`keypose edit` as a user meets it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from keypose import io, samples
+from keypose.cli.edit import Edits, edit_file
+from keypose.errors import KeyposeError
+from keypose.evaluate import world
+from tests.cli.test_cli import keypose, refused
+
+
+def hips_and_hand(path: Path) -> np.ndarray:
+    scene = io.load(path)
+    body = scene.character.skeleton
+    at = np.asarray(world(body, scene.animations[0].pose.broadcast()))[..., :3, 3]
+    return at[:, [body.index("Hips"), body.index("LeftHand")]]
+
+
+def test_a_place_is_reached(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    done = keypose("edit", "sample:walk", out, "--reach", "left_hand@60=+0.1,0.2,0.1", "--ease", 0.3)
+    assert done.returncode == 0, done.stderr
+    assert "left_hand is where it should be" in done.stdout and "frames changed" in done.stdout
+    walk = samples.load("walk")
+    body = walk.character.skeleton
+    before = np.asarray(world(body, walk.animations[0].pose.broadcast()))[..., :3, 3][:, body.index("LeftHand")]
+    after = hips_and_hand(out)[:, 1]
+    np.testing.assert_allclose(after[60] - before[60], [0.1, 0.2, 0.1], atol=1e-3)
+    np.testing.assert_allclose(after[:40], before[:40], atol=1e-3)
+
+
+def test_the_walk_goes_round_faster(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    done = keypose("edit", "sample:walk", out, "--loop", "--speed", "2", "-q")
+    assert done.returncode == 0 and done.stdout == "", done.stderr
+    hips = hips_and_hand(out)[:, 0]
+    assert len(hips) == 63 and np.linalg.norm(hips[-1, [0, 2]] - hips[0, [0, 2]]) < 0.1
+    drawn = keypose("edit", "sample:walk", out, "--follow", "0,0 0,1 1,2", "--bend", 10, "--stride", 0.9)
+    assert drawn.returncode == 0 and "a way of 2.2" in drawn.stdout
+    assert "feet in contact slide 0.0 cm/s" in drawn.stdout
+
+
+def test_the_whole_body_and_poses(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    asked = ("--clip", "idle", "--reach", "left_hand@60-62=0.3,0.3,0.5", "--spacetime", "--turn", "Head@200=0,40,0")
+    done = keypose("edit", "sample:human", out, *asked)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("is where it should be") == 3  # hand and feet
+    np.testing.assert_allclose(hips_and_hand(out)[60, 1], [0.3, 0.3, 0.5], atol=1e-3)
+
+
+@pytest.mark.data
+def test_a_capture_is_edited_and_filmed(data_dir: Path, tmp_path: Path) -> None:
+    motion = data_dir / "asf_amc/cmu_02/02_01.amc"
+    done = keypose("edit", motion, tmp_path / "out.npz", "--loop", "--reach", "lhand@100=+0,0.2,0.1")
+    assert done.returncode == 0, done.stderr
+    assert io.load(tmp_path / "out.npz").animations[0].frame_count == 343
+
+
+def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
+    out = tmp_path / "out.glb"
+    assert "nearest: 'left_hand'" in refused(keypose("edit", "sample:walk", out, "--reach", "left_hnd@60=0,0,0"))
+    assert "no motion" in refused(keypose("edit", "sample:ball", out))
+    for edits, says in (
+        (Edits(reaches=["left_hand@60=0,0"]), "expected 3 numbers"),
+        (Edits(reaches=["left_hand=0,0,0"]), "expected JOINT@FRAME"),
+        (Edits(reaches=["left_hand@600=0,0,0"]), "up to 124, got 600"),
+        (Edits(reaches=["left_hand@600=0,0,0"], spacetime=True), "up to 124, got 600"),
+        (Edits(turns=["Head@600=0,0,0"]), "up to 124, got 600"),
+        (Edits(turns=["Head=0,0,0"]), "expected JOINT@FRAME"),
+        (Edits(speed="fast"), "a factor such as 1.5"),
+        (Edits(speed="0"), "positive"),
+        (Edits(follow="0,0"), "2 finite ones or more"),
+    ):
+        with pytest.raises(KeyposeError, match=says):
+            edit_file("sample:walk", out, edits, quiet=True)
+    with pytest.raises(KeyposeError, match="xyz"):
+        edit_file("sample:walk", tmp_path / "out.xyz", Edits(), quiet=True)
+    assert not out.exists()
