@@ -151,9 +151,15 @@ def find_roles(skeleton: Skeleton, pose: Pose | None = None, known: Mapping[str,
 
 
 def stands_on_all_fours(places: Floats, roles: Mapping[str, int]) -> bool:
-    """Whether hands stand on the ground like feet and the back is level, at joints' places (J, 3) in metres."""
-    needed = ["hips", "head", *(f"{side}_{end}" for side in SIDES for end in ("hand", "foot"))]
+    """Whether hands stand on the ground like feet, below their shoulders, and the back is level, at joints' places (J, 3)."""
+    limbs = [
+        (f"{side}_{a}", f"{side}_{b}") for side in SIDES for a, b in (("upper_leg", "foot"), ("upper_arm", "hand"))
+    ]
+    needed = ["hips", "head", *itertools.chain.from_iterable(limbs)]
     if any(role not in roles for role in needed):
+        return False
+    ways = [places[roles[top]] - places[roles[end]] for top, end in limbs]
+    if any(float(way[1]) < 0.5 * float(np.linalg.norm(way)) for way in ways):
         return False
     height = {role: float(places[roles[role], 1]) for role in needed}
     ground = min(height["left_foot"], height["right_foot"])

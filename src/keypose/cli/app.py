@@ -355,14 +355,14 @@ def retarget(
         Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
     ] = None,
     source_reference: Annotated[
-        int | None,
-        typer.Option(
-            "--source-reference", metavar="FRAME", help="Frame of MOTION that stands, for its rest pose.", min=0
-        ),
+        str | None,
+        typer.Option("--source-reference", metavar="FRAME", help="Frame of MOTION that stands upright; or FILE:FRAME."),
     ] = None,
     target_reference: Annotated[
-        int | None,
-        typer.Option("--target-reference", metavar="FRAME", help="Frame of CHARACTER's motion that stands.", min=0),
+        str | None,
+        typer.Option(
+            "--target-reference", metavar="FRAME", help="Frame of CHARACTER's motion that stands; or FILE:FRAME."
+        ),
     ] = None,
     keep_hands: Annotated[
         bool, typer.Option("--keep-hands", help="Hands that touch body or props do so on the character.")

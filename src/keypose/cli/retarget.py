@@ -38,15 +38,15 @@ def retarget_file(
     quiet: bool,
     skeleton: str | None = None,
     options: Sequence[str] = (),
-    source_reference: int | None = None,
-    target_reference: int | None = None,
+    source_reference: str | None = None,
+    target_reference: str | None = None,
     hands: bool = False,
     props: Sequence[str] = (),
     against: str | None = None,
 ) -> None:
     """Put a motion on a character and write the character with it.
 
-    ``source_reference`` and ``target_reference`` are frames of the two files' motions that stand; ``props`` places as text
+    ``source_reference`` and ``target_reference`` say which frames stand: 'FRAME' of the two files, or 'FILE:FRAME'; ``props`` places as text
     (see `parse_prop`); ``against`` a file with somebody else's result, which is compared.
 
     Raises:
@@ -82,7 +82,7 @@ def retarget_file(
         target.skeleton,
         source_roles=_roles(source_roles, source.skeleton, source.roles),
         target_roles=target_map,
-        source_reference=None if source_reference is None else _frame(animation, source, source_reference, motion),
+        source_reference=None if source_reference is None else _reference(performed, source_reference, motion),
         target_reference=stand,
         target_motion=own,
         target_ground_m=ground_under(target, stand),
@@ -132,20 +132,37 @@ def parse_prop(text: str) -> Prop:
     return Prop(*places)
 
 
-def _stand(cast: Scene, roles: RoleMap | None, frame: int | None, name: str) -> tuple[Pose | None, tuple[str, ...]]:
+def _stand(cast: Scene, roles: RoleMap | None, asked: str | None, name: str) -> tuple[Pose | None, tuple[str, ...]]:
     """The target's reference pose where it is not the rest pose, and what is to be said about it."""
     from keypose.analysis import find_roles
     from keypose.retarget import bind_stand
 
     character = cast.character
-    if frame is not None:
-        if not cast.animations:
-            raise FormatError("it has no motion whose frame could be the reference pose", path=name)
-        return _frame(cast.animations[0], character, frame, name), ()
+    if asked is not None:
+        return _reference(cast, asked, name), ()
     found = find_roles(character.skeleton) if roles is None else roles
     bound = None if found.missing else bind_stand(character, found.roles)
     said = "target: the rest pose is no upright stand; the pose in which the skin was bound is taken for one"
     return bound, () if bound is None else (said,)
+
+
+def _reference(scene: Scene, asked: str, name: str) -> Pose:
+    """The pose of a frame that stands: 'FRAME' of the scene, or 'FILE:FRAME' of another file of the same rig, or 'FILE:rest'."""
+    from keypose.retarget import pose_of_other
+
+    file, _, number = asked.rpartition(":")
+    if not (number.isdecimal() or (file and number == "rest")):
+        raise ShapeError(f"reference pose: expected FRAME, FILE:FRAME or FILE:rest, got '{asked}'")
+    of, where = (open_input(file), file) if file else (scene, name)
+    if not of.characters:
+        raise FormatError("it has no skeleton", path=where)
+    if number == "rest":
+        pose = of.character.skeleton.rest
+    elif of.animations:
+        pose = _frame(of.animations[0], of.character, int(number), where)
+    else:
+        raise FormatError("it has no motion whose frame could be the reference pose", path=where)
+    return pose if not file else pose_of_other(scene.character.skeleton, of.character.skeleton, pose)
 
 
 def _frame(animation: Motion | Clip, character: Character, frame: int, name: str) -> Pose:

@@ -30,10 +30,11 @@ _BONES = (
 class RetargetReport:
     """Figures of one body's motion on another.
 
-    Units: ``direction_deg`` bone -> mean angle between the two bones' directions in the model's space; ``mean_direction_deg`` over
-    all bones; ``slide_cm_s`` mean and ``worst_slide_cm_s`` largest level speed of a foot's carrying point while it touches the
-    ground; ``sink_cm`` deepest place of a foot under the ground; ``source_slide_cm_s`` the same mean of the source;
-    ``hands_off_cm`` mean distance of palms from the place beside body or prop that they should have (None where that was not asked).
+    Units: ``direction_deg`` bone -> mean angle between the two bones' directions in the model's space (of trunk, neck and feet
+    without what the bodies' build differs by in their reference poses); ``mean_direction_deg`` over all bones; ``slide_cm_s``
+    mean and ``worst_slide_cm_s`` largest level speed of a foot's carrying point while it touches the ground; ``sink_cm`` deepest
+    place of a foot under the ground; ``source_slide_cm_s`` the same mean of the source; ``hands_off_cm`` mean distance of palms
+    from the place beside body or prop that they should have (None where that was not asked).
     """
 
     direction_deg: dict[str, float]
@@ -71,8 +72,10 @@ def compare_motions(
     directions: dict[str, float] = {}
     for low, high in _BONES:
         if all(role in body.roles for role in (low, high) for body in (own, other)):
-            ways = (_way(body, *at, low, high) for body, at in ((own, (r, a)), (other, (s, b))))
-            directions[low] = float(np.mean(_angles(*ways)))
+            theirs, mine = (_way(body, *at, low, high) for body, at in ((own, (r, a)), (other, (s, b))))
+            if low in ("hips", "neck"):
+                theirs = _built_alike(own, r, theirs, other, low, high)
+            directions[low] = float(np.mean(_angles(theirs, mine)))
     feet = footings(own, other, a, source.rate_hz, options)
     speeds = np.concatenate([carried_speeds(f.other, b, f.touching, target.rate_hz) for f in feet])
     theirs = np.concatenate([carried_speeds(f.own, a, f.touching, source.rate_hz) for f in feet])
@@ -105,6 +108,20 @@ def _way(body: BodyFrames, turned: Floats, places: Floats, low: str, high: str) 
         joint = body.roles[low]
         return quat.rotate(turned[:, joint], np.broadcast_to(ahead, places[:, joint].shape))
     return places[:, body.roles[high]] - places[:, body.roles[low]]
+
+
+def _built_alike(own: BodyFrames, turned: Floats, way: Floats, other: BodyFrames, low: str, high: str) -> Floats:
+    """The way of a source's trunk or neck as on the target's build, which leans in its reference pose as it does.
+
+    Bodies that stand alike have trunks that are jointed in other places; what counts is how they bend, seen from the hips.
+    """
+    stands = (
+        quat.rotate(quat.conjugate(body.facing), body.places[body.roles[high]] - body.places[body.roles[low]])
+        for body in (own, other)
+    )
+    alike = quat.from_two_vectors(*(stand / max(float(np.linalg.norm(stand)), 1e-12) for stand in stands))
+    hips = quat.multiply(turned[:, own.roles["hips"]], own.joint_from_frame["hips"])
+    return quat.rotate(quat.multiply(quat.multiply(hips, alike), quat.conjugate(hips)), way)
 
 
 def _angles(a: Floats, b: Floats) -> Floats:

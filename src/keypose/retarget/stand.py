@@ -8,6 +8,7 @@ import numpy as np
 
 from keypose.analysis.roles import SIDES, stands_on_all_fours
 from keypose.arrays import Floats
+from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
@@ -18,6 +19,9 @@ _LEAN_LIMIT = np.radians(35.0)
 # Frames that lean no further than the most upright one and this are looked at for a stand.
 _LEAN_MORE = np.radians(12.0)
 
+# No part of a frame with spread arms may be further from that than this.
+_SPREAD_LIMIT = np.radians(15.0)
+
 _UP = np.array([0.0, 1.0, 0.0])
 _DOWN = -_UP
 
@@ -25,8 +29,9 @@ _DOWN = -_UP
 def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | None = None) -> tuple[Pose | None, str]:
     """An upright stand of a skeleton, and in words where it is not its rest pose (then None and nothing).
 
-    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, one is made from
-    the upright frames of a motion, if there is one: their mean, facing +Z, with straight legs and the feet as they stand.
+    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, a frame of a motion is
+    taken that stands upright with its arms spread, as many begin; else the mean of the upright frames, facing +Z, with straight
+    legs and the feet as they stand.
     """
     rest = skeleton.rest
     places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
@@ -37,8 +42,44 @@ def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | No
         return upright, "the rest pose lies; it was turned upright"
     if motion is None or motion.frame_count == 0:
         return None, "the rest pose is no upright stand; name a reference pose"
+    shown = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
+    frame = _spread_frame(shown, roles)
+    if frame is not None:
+        pose = motion.pose.broadcast()
+        note = f"the rest pose is no upright stand; frame {frame} of the motion stands with its arms spread and is taken for one"
+        return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame]), note
     pose, used = _mean_stand(skeleton, roles, motion)
     return pose, f"the rest pose is no upright stand; the mean of {used} upright frames is taken for one"
+
+
+def pose_of_other(skeleton: Skeleton, other: Skeleton, pose: Pose) -> Pose:
+    """A pose of another skeleton of the same rig (no batch) by the names of joints, which turn in the model's space as there.
+
+    Files of one rig may have another root or lack some joints: those keep their rest beside their parent. Joints are told by
+    names without a prefix that ends in a colon, in any case.
+
+    Raises:
+        ShapeError: where not even half of the joints are found.
+    """
+    known = {_plain(name): j for j, name in enumerate(other.names)}
+    found = [known.get(_plain(name)) for name in skeleton.names]
+    if sum(j is not None for j in found) * 2 < skeleton.joint_count:
+        raise ShapeError(
+            "reference pose: its skeleton is of another rig; not even half of the joints have the same names"
+        )
+    there = np.asarray(world_rotations_positions(other, pose)[0], np.float64)
+    rest = np.asarray(skeleton.rest.rotations, np.float64)
+    turned, local = np.empty_like(rest), np.array(rest)
+    for joint, (parent, same) in enumerate(zip(skeleton.parents, found, strict=True)):
+        above = turned[int(parent)] if parent >= 0 else np.array([1.0, 0.0, 0.0, 0.0])
+        if same is not None:
+            local[joint] = quat.multiply(quat.conjugate(above), there[same])
+        turned[joint] = quat.multiply(above, local[joint])
+    return Pose(skeleton.rest.translations, quat.normalize(local), skeleton.rest.scales)
+
+
+def _plain(name: str) -> str:
+    return name.rpartition(":")[2].lower()
 
 
 def lean(places: Floats, roles: Mapping[str, int]) -> Floats:
@@ -89,7 +130,7 @@ def raised(skeleton: Skeleton, pose: Pose, roles: Mapping[str, int]) -> Pose | N
     turn = _upright(places, roles)
     if turn is None:
         return None
-    if not is_stand(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles):
+    if lean(quat.rotate(np.broadcast_to(turn, (len(places), 4)), places), roles) >= _LEAN_LIMIT:
         return None
     translations, rotations = np.array(pose.translations, np.float64), np.array(pose.rotations, np.float64)
     for root in np.nonzero(skeleton.parents < 0)[0]:
@@ -114,6 +155,37 @@ def _upright(places: Floats, roles: Mapping[str, int]) -> Floats | None:
     if np.abs(axes - whole).max() < 0.3 and abs(float(np.linalg.det(whole)) - 1.0) < 1e-9:
         axes = whole
     return quat.conjugate(quat.from_axes(*axes))
+
+
+def _spread_frame(places: Floats, roles: Mapping[str, int]) -> int | None:
+    """The frame of (T, J, 3) that is most of a T or A pose: straight legs and arms, arms to the sides; None where none is."""
+    ends = [
+        f"{side}_{part}"
+        for side in SIDES
+        for part in ("upper_arm", "lower_arm", "hand", "upper_leg", "lower_leg", "foot")
+    ]
+    if any(role not in roles for role in (*ends, "hips", "head")):
+        return None
+
+    def way(low: str, high: str) -> Floats:
+        bone = places[:, roles[high]] - places[:, roles[low]]
+        return bone / np.maximum(np.linalg.norm(bone, axis=-1, keepdims=True), 1e-12)
+
+    left = leftward(places, roles)
+    left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-12)
+    worst = lean(places, roles)
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        for low, high in (("upper_leg", "lower_leg"), ("lower_leg", "foot")):
+            worst = np.maximum(worst, np.arccos(np.clip(-way(f"{side}_{low}", f"{side}_{high}")[:, 1], -1.0, 1.0)))
+        arm, fore = way(f"{side}_upper_arm", f"{side}_lower_arm"), way(f"{side}_lower_arm", f"{side}_hand")
+        worst = np.maximum(worst, np.arccos(np.clip(np.sum(arm * fore, axis=-1), -1.0, 1.0)))
+        aside = np.sum(arm * sign * left, axis=-1)
+        ahead = np.abs(np.sum(arm * np.cross(left, _UP), axis=-1))
+        worst = np.where(
+            (aside > 0.6) & (arm[:, 1] < 0.3), np.maximum(worst, np.arcsin(np.clip(ahead, 0.0, 1.0))), np.pi
+        )
+    frame = int(np.argmin(worst))
+    return frame if float(worst[frame]) < _SPREAD_LIMIT else None
 
 
 # --- a stand out of a motion ------------------------------------------------------------------------------------------
