@@ -99,7 +99,8 @@ export function isTyping(event: KeyboardEvent): boolean {
 
 export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
   const target = event.target as HTMLElement;
-  const typing = target instanceof HTMLInputElement && target.type !== "range";
+  const checks = target instanceof HTMLInputElement && target.type === "checkbox";
+  const typing = target instanceof HTMLInputElement && target.type !== "range" && !checks;
   if (typing || target instanceof HTMLSelectElement || event.altKey) {
     if (event.key === "Escape") {
       if (target instanceof HTMLInputElement && target.type === "search" && target.value) {
@@ -115,8 +116,8 @@ export function handleKey(event: KeyboardEvent, table: Shortcut[]): void {
   }
   // a slider keeps the keys that move it
   if (target instanceof HTMLInputElement && /^(Arrow|Home|End|Page)/.test(event.key)) return;
-  // a button reached by keyboard keeps its own keys
-  if (target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter")) return;
+  // a button or a box reached by keyboard keeps its own keys
+  if ((target instanceof HTMLButtonElement && event.key === "Enter") || ((target instanceof HTMLButtonElement || checks) && event.key === " ")) return;
   for (const keys of spelling(event)) {
     const found = table.find((s) => s.keys === keys);
     if (found) {

@@ -107,27 +107,30 @@ def test_the_motion_is_the_librarys(server: StudioServer) -> None:
     assert np.abs(read(sent["translations"]) - expected.motion.pose.broadcast().translations).max() < 1e-6
 
 
-def test_contacts_are_where_feet_are_down(server: StudioServer) -> None:
+def test_steps_are_where_feet_are_down(server: StudioServer) -> None:
     done = ask(server, **PLAIN)
     header, _ = motion_of(server, done["id"])
-    human = samples.load("human").character
+    assert header["animations"][0]["frames"] == done["frames"]
     status, _, data = request(server, "GET", f"/api/retarget/{done['id']}/glb", headers=with_token(server))
     assert status == 200
-    assert {c["point"] for c in done["contacts"]} == {"left_heel", "left_ball", "right_heel", "right_ball"}
     walked = _loaded(data)
+    names = walked.character.skeleton.names
     places = np.asarray(world(walked.character.skeleton, _motion(walked).pose))[..., :3, 3]
-    for contact in done["contacts"]:
-        joint = walked.character.skeleton.names.index(contact["target_joint"])
-        spans = np.reshape(contact["spans"], (-1, 2))
-        assert len(spans) > 0 and spans.max() < done["frames"] and np.all(spans[:, 0] <= spans[:, 1])
+    assert [foot["role"] for foot in done["feet"]] == ["left_foot", "right_foot"]
+    slides = []
+    for foot in done["feet"]:
+        ankle, ball = (places[:, names.index(joint)] for joint in foot["target"])
+        steps = np.reshape(foot["steps"], (-1, 2))
+        assert len(steps) > 0 and steps.max() < done["frames"] and np.all(steps[:, 0] <= steps[:, 1])
         down = np.zeros(done["frames"], bool)
-        for first, last in spans:
+        for first, last in steps:
             down[first : last + 1] = True
-        height = places[:, joint, 1]
-        assert height[down].max() < np.percentile(height, 2) + 0.05
-        assert height[down].mean() + 0.01 < height[~down].mean()
-    assert human.skeleton.joint_count <= walked.character.skeleton.joint_count
-    assert header["animations"][0]["frames"] == done["frames"]
+        assert ankle[down, 1].mean() + 0.02 < ankle[~down, 1].mean()
+        speed = 100.0 * done["rate_hz"] * np.linalg.norm(np.diff(ball[:, [0, 2]], axis=0), axis=1)
+        assert speed[down[1:] & down[:-1]].mean() < 0.3 * speed[~(down[1:] | down[:-1])].mean()
+        assert len(foot["source_slides_cm_s"]) == len(foot["target_slides_cm_s"]) == len(steps)
+        slides += foot["target_slides_cm_s"]
+    assert max(slides) <= done["worst_slide_cm_s"] + 1e-6 and done["worst_slide_cm_s"] < 1.0
 
 
 def _loaded(data: bytes) -> Any:

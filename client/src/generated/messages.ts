@@ -976,12 +976,14 @@ export interface RetargetSubject {
   error: string;
 }
 
-/** When a point of a foot touches the ground in the source, and the joints that stand for it (empty where none does). */
-export interface RetargetContacts {
-  point: string;
-  source_joint: string;
-  target_joint: string;
-  spans: number[];
+/** The steps of one foot (``left_foot`` ... or, of who goes on four, ``left_hand`` ...): when it is on the ground. */
+export interface RetargetFoot {
+  role: string;
+  source: string[];
+  target: string[];
+  steps: number[];
+  source_slides_cm_s: number[];
+  target_slides_cm_s: number[];
 }
 
 /** The motion on the target and its figures; ``error`` says why there is none. */
@@ -1003,7 +1005,7 @@ export interface RetargetDone {
   sink_cm: number;
   contact_frames: number;
   hands_off_cm: number | null;
-  contacts: RetargetContacts[];
+  feet: RetargetFoot[];
   exports: string[];
   notes: string[];
 }

@@ -3,7 +3,7 @@
 
 import * as THREE from "three";
 import { Clock } from "../anim/clock";
-import type { RetargetContacts } from "../generated/messages";
+import type { RetargetFoot } from "../generated/messages";
 import type { Actor, Surface } from "../view/actor";
 import { NO_MARKS } from "../view/bones";
 import type { View } from "../view/camera";
@@ -74,9 +74,15 @@ export class Pair {
     this.frame("three-quarter", true);
   }
 
-  contacts(side: SideName, found: readonly RetargetContacts[], start: number, rate: number): void {
-    const actor = this.actor(side);
-    if (actor) this.prints[side].fit(actor, found.map((c) => ({ point: c.point, joint: side === "source" ? c.source_joint : c.target_joint, spans: c.spans })), start, rate);
+  steps(side: SideName, feet: readonly RetargetFoot[], start: number, rate: number): void {
+    const actor = this.actor(side), own = side === "source";
+    const shown = feet.map((foot) => ({
+      side: foot.role.startsWith("left") ? ("left" as const) : ("right" as const),
+      joints: own ? foot.source : foot.target,
+      steps: foot.steps,
+      slides: own ? foot.source_slides_cm_s : foot.target_slides_cm_s,
+    }));
+    if (actor) this.prints[side].fit(actor, shown, start, rate);
     this.views[side].invalidate();
   }
 
@@ -118,7 +124,15 @@ export class Pair {
   // ---- cameras -----------------------------------------------------------------------------------------------------
 
   frame(view: View | null = null, immediately = false): void {
-    for (const side of SIDES) if (this.actor(side)) this.views[side].frameAll(view, immediately);
+    for (const side of SIDES) {
+      const actor = this.actor(side), shown = this.views[side];
+      if (!actor) continue;
+      // where they stand now, not where they stood in the last picture
+      shown.pose();
+      shown.orbit.follow(null);
+      if (shown.display.follow) shown.orbit.follow(actor.toStage(actor.jointPosition(actor.rootJoint, this.a)));
+      shown.frameAll(view, immediately);
+    }
     this.driver = this.actor("target") ? "target" : "source";
   }
 

@@ -9,11 +9,12 @@ import type { Actor } from "../view/actor";
 /** From standing still to sliding, in cm/s for a leg of a person. */
 export const STILL = 1, SLIDING = 8;
 
-/** When a point of a foot is on the ground, as first and last frames in pairs, and the joint that stands for it. */
-export interface Contact {
-  point: string;
-  joint: string;
-  spans: readonly number[];
+/** The steps of a foot as first and last frames in pairs, how they slide, and the joints of its ankle and ball. */
+export interface Foot {
+  side: "left" | "right";
+  joints: readonly string[];
+  steps: readonly number[];
+  slides: readonly number[];
 }
 
 export interface Print {
@@ -82,53 +83,30 @@ export class Prints {
     this.group.add(this.mesh);
   }
 
-  /** Find the prints of a character's contacts in the animation that it performs now. */
-  fit(actor: Actor, contacts: readonly Contact[], start: number, rate: number): void {
+  /** The prints of a character's steps in the animation that it performs now. */
+  fit(actor: Actor, feet: readonly Foot[], start: number, rate: number): void {
     const pose = new Pose(actor.rig.count, actor.morphNames.length), world = new Float64Array(12 * actor.rig.count);
-    const back = new THREE.Vector3(), tip = new THREE.Vector3(), last = new THREE.Vector3();
-    const turn = new THREE.Quaternion(), up = new THREE.Vector3(0, 1, 0), matrix = new THREE.Matrix4();
+    const back = new THREE.Vector3(), tip = new THREE.Vector3(), place = new THREE.Vector3(), scale = new THREE.Vector3();
+    const turn = new THREE.Quaternion(), up = new THREE.Vector3(0, 1, 0);
+    const length = 0.15 * actor.height;
     const found: { print: Print; matrix: THREE.Matrix4 }[] = [];
-    for (const side of ["left", "right"] as const) {
-      const jointOf = (point: string) => {
-        const contact = contacts.find((c) => c.point === `${side}_${point}`);
-        return contact ? { joint: actor.rig.index(contact.joint), spans: contact.spans } : null;
-      };
-      const ball = jointOf("ball"), balls = ball && ball.joint >= 0 ? ball : null;
-      const heels = jointOf("heel") ?? balls;
-      if (!heels || heels.joint < 0) continue;
-      const front = balls ? balls.joint : heels.joint;
-      const down = (part: typeof heels, frame: number) => part !== null && within(part.spans, frame);
-      for (const [first, final] of joined([...pairs(heels.spans), ...(balls ? pairs(balls.spans) : [])])) {
-        // where the foot stands in the middle of its contact, and how far its carrying point goes meanwhile
-        let way = 0, steps = 0, carried = -1;
-        const every = Math.max(1, Math.floor((final - first) / 40));
-        for (let frame = first; frame <= final; frame += every) {
-          actor.evaluate(start + frame / rate, pose, world);
-          const carrier = balls && down(balls, frame) ? front : heels.joint;
-          actor.jointPosition(carrier, tip, world).setY(0);
-          if (carrier === carried) {
-            way += tip.distanceTo(last);
-            steps += every;
-          }
-          carried = carrier;
-          last.copy(tip);
-        }
-        const slide = steps > 0 ? (100 * way * rate) / steps : 0;
-        actor.evaluate(start + Math.round((first + final) / 2) / rate, pose, world);
-        actor.jointPosition(heels.joint, back, world);
-        actor.jointPosition(front, tip, world);
-        const length = 0.15 * actor.height;
-        let yaw = Math.atan2(tip.x - back.x, tip.z - back.z);
-        if (front === heels.joint) {
-          const o = 12 * heels.joint;
-          yaw = Math.atan2(world[o + 6], world[o + 8]);
-        }
+    for (const { side, joints, steps, slides } of feet) {
+      const [ankle, ball] = joints.map((joint) => actor.rig.index(joint));
+      if (ankle === undefined || ankle < 0) continue;
+      slides.forEach((slide, n) => {
+        const first = steps[2 * n], last = steps[2 * n + 1];
+        // where the foot stands in the middle of its step
+        actor.evaluate(start + Math.round((first + last) / 2) / rate, pose, world);
+        actor.jointPosition(ankle, back, world);
+        actor.jointPosition(ball, tip, world);
+        const o = 12 * ankle;
+        const yaw = ball === ankle ? Math.atan2(world[o + 6], world[o + 8]) : Math.atan2(tip.x - back.x, tip.z - back.z);
         // a print reaches from behind the ankle to before the ball
-        const x = 0.5 * (back.x + tip.x) + 0.12 * length * Math.sin(yaw), z = 0.5 * (back.z + tip.z) + 0.12 * length * Math.cos(yaw);
+        place.set(0.5 * (back.x + tip.x) + 0.12 * length * Math.sin(yaw), 0.002 * actor.height, 0.5 * (back.z + tip.z) + 0.12 * length * Math.cos(yaw));
         turn.setFromAxisAngle(up, yaw + Math.PI);
-        matrix.compose(new THREE.Vector3(x, 0.004 * actor.height, z), turn, new THREE.Vector3(0.42 * length, 1, 1.12 * length));
-        found.push({ print: { from: start + first / rate, to: start + (final + 1) / rate, side, slide }, matrix: matrix.clone() });
-      }
+        const matrix = new THREE.Matrix4().compose(place, turn, scale.set(0.42 * length, 1, 1.12 * length));
+        found.push({ print: { from: start + first / rate, to: start + (last + 1) / rate, side, slide }, matrix });
+      });
     }
     found.sort((a, b) => a.print.from - b.print.from);
     this.prints = found.map(({ print }) => print);
@@ -157,22 +135,4 @@ export class Prints {
     (this.mesh.material as THREE.Material).dispose();
     this.mesh.dispose();
   }
-}
-
-const pairs = (spans: readonly number[]): [number, number][] => Array.from({ length: spans.length / 2 }, (_, n) => [spans[2 * n], spans[2 * n + 1]]);
-
-function within(spans: readonly number[], frame: number): boolean {
-  for (let n = 0; n < spans.length; n += 2) if (spans[n] <= frame && frame <= spans[n + 1]) return true;
-  return false;
-}
-
-/** Spans that touch or overlap as one. */
-export function joined(spans: readonly (readonly [number, number])[]): [number, number][] {
-  const found: [number, number][] = [];
-  for (const [from, to] of [...spans].sort((a, b) => a[0] - b[0])) {
-    const last = found.at(-1);
-    if (last && from <= last[1] + 1) last[1] = Math.max(last[1], to);
-    else found.push([from, to]);
-  }
-  return found;
 }

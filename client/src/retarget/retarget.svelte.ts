@@ -170,6 +170,8 @@ export class Retarget extends Player {
       const moves = found.file.animations.length > 0;
       const side = !moves ? "target" : (wanted ?? (found.file.hasMesh ? "target" : "source"));
       if (wanted === "source" && !moves) studio.toast("info", `${found.file.name} has no motion`, "It is taken as the character that the motion goes to.");
+      this.turns[side]++; // what was on its way there comes too late
+      this.loading = { ...this.loading, [side]: "" };
       this.take(side, reference, found.told, found.file);
     } catch (error) {
       this.refuse(reference, error);
@@ -269,7 +271,7 @@ export class Retarget extends Player {
     this.pair?.reposed();
   }
 
-  /** The prints of the contacts, once for each motion; who stands at rest shows none. */
+  /** The prints of the feet, once for each motion; who stands at rest shows none. */
   private fitPrints(): void {
     const { done, pair } = this;
     if (!pair) return;
@@ -282,7 +284,7 @@ export class Retarget extends Player {
       if (key === this.fitted[side]) continue;
       this.fitted[side] = key;
       changed = true;
-      pair.contacts(side, done && motion ? done.contacts : [], motion?.start ?? 0, done?.rate_hz ?? 1);
+      pair.steps(side, done && motion ? done.feet : [], motion?.start ?? 0, done?.rate_hz ?? 1);
     }
     if (changed) this.prints = { source: pair.prints.source.prints, target: pair.prints.target.prints };
   }

@@ -29,13 +29,14 @@ from keypose.studio.payload import encode
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
     from keypose.model import Document
-    from keypose.retarget import BodyFrames, RetargetResult
+    from keypose.retarget import RetargetResult
     from keypose.studio.session import Session
 
 RESULTS_KEPT = 8
 SAMPLES_KEPT = 12
 
-_ROLE_OF_POINT = {"heel": "foot", "ball": "toes"}
+_STANDS_ON = ("hips", "left_upper_leg", "right_upper_leg", "left_foot", "right_foot")
+"""Roles without which there is no stand to begin with."""
 
 _REFUSALS = (KeyposeError, ValueError, MemoryError, OSError)
 
@@ -148,6 +149,7 @@ class Retargeting:
     def _retargeted(self, asked: r.RetargetRequest, source: Scene, target: Scene) -> r.RetargetDone:
         from keypose.editing.planting import PlantOptions
         from keypose.retarget import HandOptions, ground_under, retarget
+        from keypose.studio.retarget_feet import found_feet
 
         own, other = _character(source, asked.source_character), _character(target, asked.target_character)
         began = time.perf_counter()
@@ -198,7 +200,7 @@ class Retargeting:
             sink_cm=float(report.sink_cm),
             contact_frames=int(report.contact_frames),
             hands_off_cm=report.hands_off_cm,
-            contacts=_contacts(done),
+            feet=found_feet(done, motion, result),
             exports=_kinds(),
             notes=list(done.notes),
         )
@@ -268,8 +270,12 @@ def _map(names: Mapping[str, str] | None, character: Character) -> RoleMap | Non
 
 def _roles(character: Character, names: Mapping[str, str] | None) -> RoleMap | None:
     """A page's map; else what is found, where that is a humanoid (where it is none, retargeting says why)."""
-    if names is not None:
-        return _map(names, character)
+    named = _map(names, character)
+    if named is not None:
+        missing = [role for role in _STANDS_ON if role not in named.roles]
+        if missing:
+            raise KeyposeError(f"no humanoid: nothing plays {', '.join(missing)}")
+        return named
     found = find_character_roles(character)
     return found if found.is_humanoid else None
 
@@ -315,22 +321,6 @@ def _own_motion(scene: Scene, character: Character) -> Motion | None:
     return next((a for a in scene.animations if isinstance(a, Motion) and a.joint_names == names), None)
 
 
-def _contacts(done: RetargetResult) -> list[r.RetargetContacts]:
-    """When and with which joints feet touch the ground."""
-
-    def joint_of(body: BodyFrames, role: str) -> str:
-        return body.skeleton.names[body.roles[role]] if role in body.roles else ""
-
-    found: list[r.RetargetContacts] = []
-    for point, track in done.touching.items():
-        side, _, part = point.partition("_")
-        role = f"{side}_{_ROLE_OF_POINT.get(part, part)}"
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], track, [False]]).astype(np.int8)))
-        spans = [int(n) for first, after in zip(edges[::2], edges[1::2], strict=True) for n in (first, after - 1)]
-        found.append(r.RetargetContacts(point, joint_of(done.source, role), joint_of(done.target, role), spans))
-    return found
-
-
 def _refused(error: str) -> r.RetargetDone:
     return r.RetargetDone(
         id="",
@@ -350,7 +340,7 @@ def _refused(error: str) -> r.RetargetDone:
         sink_cm=0.0,
         contact_frames=0,
         hands_off_cm=None,
-        contacts=[],
+        feet=[],
         exports=[],
         notes=[],
     )

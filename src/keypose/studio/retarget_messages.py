@@ -85,16 +85,19 @@ class RetargetSubject:
 
 
 @dataclass(frozen=True, slots=True)
-class RetargetContacts:
-    """When a point of a foot touches the ground in the source, and the joints that stand for it (empty where none does).
+class RetargetFoot:
+    """The steps of one foot (``left_foot`` ... or, of who goes on four, ``left_hand`` ...): when it is on the ground.
 
-    ``spans`` are first and last frames, in pairs, one after the other.
+    ``source``, ``target``: the joints of ankle and ball (twice the same where there is one; empty where the body has none).
+    ``steps``: first and last frames, in pairs, one after the other; of each the mean speed of the carrying point in cm/s.
     """
 
-    point: str
-    source_joint: str
-    target_joint: str
-    spans: list[int]
+    role: str
+    source: list[str]
+    target: list[str]
+    steps: list[int]
+    source_slides_cm_s: list[float]
+    target_slides_cm_s: list[float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +126,6 @@ class RetargetDone:
     sink_cm: float
     contact_frames: int
     hands_off_cm: float | None
-    contacts: list[RetargetContacts]
+    feet: list[RetargetFoot]
     exports: list[str]
     notes: list[str]
