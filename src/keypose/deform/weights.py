@@ -237,7 +237,7 @@ def _weigh(
     progress: Progress | None,
 ) -> tuple[Floats, WeightsReport]:
     """Weights (P, J) of all points."""
-    bones = bones_of(skeleton, pose, chosen, solid.reach)
+    bones = bones_of(skeleton, pose, chosen, solid.reach if len(surface.triangles) else None)
     pieces = sort_pieces(surface, skeleton, pose[:, :3, 3], chosen, bones)
     bones, notes = _heating(solid, bones, skeleton, set(pieces.owner.values()))
     heated = np.isin(np.arange(surface.shell_count), pieces.heated)
@@ -259,7 +259,7 @@ def _weigh(
         order, kept, total = _largest(weights[used], most)
         weights[used] = 0.0
         weights[used[:, None], order] = kept
-        lost = float(1.0 - total.mean())
+        lost = float((1.0 - total).sum() / max(len(used), 1))
     for shell, joint in pieces.owner.items():
         weights[surface.shell_of == shell, joint] = 1.0
     _attach(surface, pieces, weights, bones)

@@ -15,6 +15,7 @@ from keypose.model import Skeleton
 _ALONG = (0.05, 0.95)  # where on a bone a twist joint may lie
 _BESIDE = 0.1  # how far beside it, in lengths of the bone
 _REACH = 4.0  # a leaf is at most so many times as long as the bone before it
+_SHORT = 0.05  # of the bone before it: too short to say anything
 _INSIDE = 0.85  # and ends before the surface
 _OTHER_WAY = 0.3  # the cosine down to which a leaf may bend away from the bone before it
 
@@ -130,4 +131,6 @@ def _leaf_tip(skeleton: Skeleton, model_from_joint: Floats, joint: int, inside: 
     ways = inside(place, directions, _REACH * length)
     # The way that stays inside longest, those that bend away counting less.
     best = int(np.argmax(ways * (0.5 + 0.5 * (directions @ forward)) * np.where(np.arange(len(ways)) == 0, 1.05, 1.0)))
+    if ways[best] < _SHORT * length:  # the joint is not in the body, or at its surface
+        return place + before * 0.5
     return place + directions[best] * ways[best] * _INSIDE

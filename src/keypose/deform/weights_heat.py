@@ -17,8 +17,11 @@ from keypose.deform.weights_solid import Solid, bent_ways
 from keypose.deform.weights_surface import Surface, laplacian
 
 _CANDIDATES = 8  # nearest bones that are looked at
-_EQUAL = 1.001  # bones so near to each other's distance share
+_NEARLY = 1.1  # bones that are up to so many times as far as the nearest one share with it, the less the farther
 _PULL = 0.25  # power of the thickness of a limb that makes its bones count as nearer
+_DOUBT = (
+    1.5  # where the nearest bone in sight is so many times as far as the nearest one, the way through the body counts
+)
 _FAR = 0.02  # of the size; what is farther from its bone is no colder: thick limbs would blend all over
 _LEAST = 1e-4  # of the size: what is nearer to a bone is no warmer
 _RIGHT_HAND_SIDES = 32  # solved at a time, between two reports of progress
@@ -55,6 +58,8 @@ def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, so
     which = np.zeros((count, few), np.int64)
     pull = solid.thickness(bones) ** _PULL
     lengths = np.zeros((count, few))
+    closest = np.zeros(count)
+    middles = (bones.starts + bones.ends) / 2
     rows = max(2_000_000 // max(bones.count, 1), 1)
     for begin in range(0, count, rows):
         part = slice(begin, begin + rows)
@@ -63,46 +68,59 @@ def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, so
         order = np.argpartition(pulled, few - 1, axis=1)[:, :few]
         order = np.take_along_axis(order, np.argsort(np.take_along_axis(pulled, order, 1), axis=1), 1)
         here = np.take_along_axis(pulled, order, axis=1)
+        closest[part] = here[:, 0]
         lengths[part] = np.take_along_axis(distances, order, axis=1)
         goals = np.take_along_axis(places, order[..., None], axis=1)
         pending = np.arange(len(here))
         for k in range(few):  # a farther bone matters only where no nearer one is seen, or it is as near
             best = nearest[part][pending].min(axis=1)
-            pending = pending[(here[pending, k] <= best * _EQUAL)]
+            pending = pending[(here[pending, k] <= best * _NEARLY)]
             if not len(pending):
                 break
-            sight = solid.straight(points[part][pending], goals[pending, k])
+            sight = _seen(points[part][pending], goals[pending, k], middles[order[pending, k]], solid)
             nearest[begin + pending, k] = np.where(sight, here[pending, k], np.inf)
         which[part] = order
     best = nearest.min(axis=1)
     seen = np.isfinite(best)
     bent = np.zeros(count, bool)
-    lost = np.nonzero(~seen)[0]
-    if len(lost):
-        bone, ways = bent_ways(solid, points[lost], bones)
-        reached = bone >= 0
-        which[lost[reached], 0] = bone[reached]
-        nearest[lost[reached], 0] = best[lost[reached]] = ways[reached] / pull[bone[reached]]
-        lengths[lost[reached], 0] = ways[reached]
-        bent[lost[reached]] = True
-    equal = (nearest <= best[:, None] * _EQUAL) & np.isfinite(nearest)
-    at, k = np.nonzero(equal)
-    shares = coo_array((1.0 / equal.sum(axis=1)[at], (at, bones.joints[which[at, k]])), (count, joint_count)).tocsr()
-    shares.data = np.minimum(shares.data, 1.0)
-    shares = _by_joint(shares)
-    way = np.where(equal, lengths, np.inf).min(axis=1)
-    heat = np.where(np.isfinite(way), strength / np.clip(way, _LEAST * size_m, _FAR * size_m) ** 2, 0.0)
+    doubtful = np.nonzero(best > _DOUBT * closest)[0]
+    if len(doubtful):
+        bone, ways = bent_ways(solid, points[doubtful], bones)
+        pulled = np.where(bone >= 0, ways / pull[bone], np.inf)
+        shorter = pulled < best[doubtful]
+        lost, bone = doubtful[shorter], bone[shorter]
+        nearest[lost] = np.inf
+        which[lost, 0], lengths[lost, 0] = bone, ways[shorter]
+        nearest[lost, 0] = best[lost] = pulled[shorter]
+        bent[lost] = True
+    tiny = _LEAST * size_m
+    ratio = np.maximum(nearest, tiny) / np.where(seen | bent, np.maximum(best, tiny), 1.0)[:, None]
+    parts = np.clip((_NEARLY - ratio) / (_NEARLY - 1.0), 0.0, 1.0)
+    owners = bones.joints[which]
+    for k in range(1, few):  # two bones of one joint are not two joints
+        again = (owners[:, :k] == owners[:, k, None]) & (parts[:, :k] > 0)
+        parts[again.any(axis=1), k] = 0.0
+    parts /= np.maximum(parts.sum(axis=1, keepdims=True), 1e-30)
+    at, k = np.nonzero(parts)
+    shares = coo_array((parts[at, k], (at, owners[at, k])), (count, joint_count)).tocsr()
+    way = np.take_along_axis(lengths, np.argmin(nearest, axis=1)[:, None], axis=1)[:, 0]
+    heat = np.where(seen | bent, strength / np.clip(way, tiny, _FAR * size_m) ** 2, 0.0)
     return Sources(heat, shares, seen, bent)
 
 
-def _by_joint(shares: Any) -> Any:
-    """Rows that sum to 1 again: two bones of one joint are not two joints."""
-    from scipy.sparse import csr_array
+def _seen(points: Floats, goals: Floats, middles: Floats, solid: Solid) -> Any:
+    """Whether the nearest places on bones are in straight sight, or places as far again towards the bones' middles.
 
-    shares = csr_array((np.ones_like(shares.data), shares.indices, shares.indptr), shares.shape)
-    totals = np.asarray(shares.sum(axis=1)).reshape(-1)
-    shares.data /= np.repeat(totals, np.diff(shares.indptr))
-    return shares
+    At the end of a limb, straight across is along the surface.
+    """
+    sight = solid.straight(points, goals)
+    left = np.nonzero(~sight)[0]
+    inward = middles[left] - goals[left]
+    lengths = np.linalg.norm(inward, axis=1)
+    ways = np.minimum(lengths, np.linalg.norm(goals[left] - points[left], axis=1))
+    further = goals[left] + inward * (ways / np.maximum(lengths, 1e-30))[:, None]
+    sight[left] = solid.straight(points[left], further)
+    return sight
 
 
 def spread(surface: Surface, triangles: Ints, used: Ints, sources: Sources, progress: Any = None) -> Floats:
