@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from keypose.arrays import Floats, checked
 from keypose.editing.displacement import fit_displacement
-from keypose.editing.planting import plant_feet
+from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.editing.reach import found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_morphs, sample_motion, world_rotations_positions
@@ -21,6 +21,9 @@ from keypose.model import Event, Motion, Pose, Skeleton
 
 # A path that goes less than this far in a second stands.
 _STANDING_M_S = 0.05
+
+# Hips keep to the path that was asked for.
+_PLANTING = PlantOptions(hips="upright")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +77,9 @@ class PathResult:
     """
 
     motion: Motion
-    path: GroundPath
     touching: Mapping[str, np.ndarray]
     short_m: float
+    path: GroundPath
 
 
 def extract_path(
@@ -248,15 +251,17 @@ def put_on_path(
                 f"{name}: expected {motion.frame_count} points to match the motion, got {len(given.points)}"
             )
     if np.array_equal(own.points, path.points):
-        return PathResult(motion, path, {}, 0.0)
+        return PathResult(motion, {}, 0.0, path)
     turn = _turn_between(own, path)
     carried = _carried(motion, skeleton, own, path, turn)
     legs = all(f"{s}_{p}" in known for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot"))
     rigid = np.ptp(turn) < 1e-9 and np.allclose(path.points, _rigidly(own, path, turn), atol=1e-9)
     if not plant or not legs or rigid:
-        return PathResult(carried, path, {}, 0.0)
+        return PathResult(carried, {}, 0.0, path)
     touching = _contacts(motion, skeleton, known)
-    planted = plant_feet(_feet_unturned(carried, skeleton, known, touching, turn), skeleton, known, touching=touching)
+    planted = plant_feet(
+        _feet_unturned(carried, skeleton, known, touching, turn), skeleton, known, touching=touching, options=_PLANTING
+    )
     return PathResult(planted.motion, path, planted.touching, planted.short_m)
 
 
@@ -298,7 +303,7 @@ def retime(
         return warped
     nearest = np.rint(old * motion.rate_hz).astype(np.intp)
     touching = {name: flags[nearest] for name, flags in _contacts(motion, skeleton, known).items()}
-    return plant_feet(warped, skeleton, known, touching=touching).motion
+    return plant_feet(warped, skeleton, known, touching=touching, options=_PLANTING).motion
 
 
 def speeds_for(path: GroundPath, speed_m_s: Any, *, smooth_s: float = 0.3, most: float = 4.0) -> Floats:
@@ -383,6 +388,15 @@ def _contacts(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> d
     hip, knee, foot = (places[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
     leg = float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
     return foot_contacts(roles, places, motion.rate_hz, leg)
+
+
+def _planted(
+    motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], touching: Mapping[str, np.ndarray]
+) -> tuple[Motion, Mapping[str, np.ndarray], float]:
+    """The motion with feet held in the old contacts, then in those that it has now; these, and what legs are short of."""
+    first = plant_feet(motion, skeleton, roles, touching=touching)
+    second = plant_feet(first.motion, skeleton, roles)
+    return second.motion, second.touching, max(first.short_m, second.short_m)
 
 
 def _feet_unturned(

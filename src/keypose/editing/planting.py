@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class PlantOptions:
         ground: ``auto``, ``flat``, ``slope``, ``steps``, or a known `Ground`.
         blend_s: how long the speed of a correction takes to fade beside a contact.
         level_feet: whether a foot that is flat is laid on the ground; it is kept from turning anyway.
-        move_hips: whether hips may come along.
+        hips: ``free`` (they may come along with the feet), ``upright`` (up and down only) or ``still``.
     """
 
     height_m: float = 0.03
@@ -48,11 +49,13 @@ class PlantOptions:
     ground: Ground | GroundKind = "auto"
     blend_s: float = 0.2
     level_feet: bool = True
-    move_hips: bool = True
+    hips: Literal["free", "upright", "still"] = "free"
 
     def __post_init__(self) -> None:
         if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0):
             raise ShapeError("options: expected positive limits and a positive blend_s")
+        if self.hips not in ("free", "upright", "still"):
+            raise ShapeError(f"options: expected hips that are free, upright or still, got {self.hips!r}")
         if isinstance(self.ground, str) and self.ground not in GROUND_KINDS:
             raise ShapeError(f"options: expected a ground of {', '.join(GROUND_KINDS)}, got {self.ground!r}")
 
@@ -195,8 +198,8 @@ class _Body:
             none = np.zeros(frames)
             return PlantResult(self.motion, footing.touching, footing, none, none, 0.0, 1.0, True)
         hips = np.zeros((frames, 3))
-        if options.move_hips:
-            hips = self._hips(paths)
+        if options.hips != "still":
+            hips = self._hips(paths, options.hips == "upright")
         rotations = np.array(self.pose.rotations)
         short = 0.0
         for leg, path in zip(self.legs, paths, strict=True):
@@ -223,10 +226,10 @@ class _Body:
         away = np.linalg.norm(hips, axis=-1)
         return PlantResult(result, footing.touching, footing, moved, away, short, self.ratio(result), False)
 
-    def _hips(self, paths: list[FootPath]) -> Floats:
+    def _hips(self, paths: list[FootPath], upright: bool) -> Floats:
         """The hips' path; with more care for knees around frames in which one would jump."""
         rate = self.motion.rate_hz
-        hips = hips_path(self.legs, paths, rate)
+        hips = hips_path(self.legs, paths, rate, upright)
         peak = max(_peak(knee_angles(leg), rate) for leg in self.legs)
         care = np.ones(self.motion.frame_count)
         best, least = hips, np.inf
@@ -243,7 +246,7 @@ class _Body:
             # around the jumps, as far as a tenth of a second
             near = np.convolve(over > _KNEE_LIMIT * peak, np.ones(2 * round(0.1 * rate) + 1), "same") > 0
             care = np.where(near, 4.0 * care, care)
-            hips = hips_path(self.legs, paths, rate, care)
+            hips = hips_path(self.legs, paths, rate, upright, care)
         return best
 
     def _carrier(self) -> int:

@@ -18,6 +18,7 @@ from keypose.model import Skeleton
 # What counts as much as a radian that a knee changes: the hips' path by the metre and its acceleration by the metre a second
 # squared, and the acceleration of a knee by the radian a second squared.
 _PATH_WEIGHT = 20.0
+_LEVEL_WEIGHT = 100.0  # for the part along the ground
 _ACCELERATION_WEIGHT = 0.003
 _KNEE_ACCELERATION_WEIGHT = 0.006
 _LEAST_BENT = 0.06  # a knee is taken as bent at least so far, radians
@@ -71,13 +72,15 @@ def reached_angles(leg: Leg, distance: Floats) -> Floats:
     return np.arccos(np.clip((distance**2 - a * a - b * b) / np.maximum(2.0 * a * b, 1e-12), -1.0, 1.0))
 
 
-def hips_path(legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, care: Floats | None = None) -> Floats:
+def hips_path(
+    legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, upright: bool, care: Floats | None = None
+) -> Floats:
     """How the hips are moved (T, 3) so that knees bend as they did where they can.
 
     A leg that is nearly straight cannot become longer, and its knee turns fast for little; the jitter of a captured body would
     go into the knees of feet that stand still: there the hips go along. The path is the least-squares answer for what both
     knees change, in angle and in acceleration, for how far the hips are from the middle of the feet's own corrections, and for
-    their acceleration, in a few Newton steps; what is out of reach then brings the hips down. ``care`` (T,) multiplies what knees weigh.
+    their acceleration, in a few Newton steps; what is out of reach then brings the hips down. ``upright``: they only go up and down. ``care`` (T,) multiplies what knees weigh.
     """
     frames = len(legs[0].hip)
     shift = np.zeros((frames, 3))
@@ -89,10 +92,10 @@ def hips_path(legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, ca
         jump[1:-1] = np.abs(np.diff(knee_angles(leg), 2)) * rate_hz**2
         smooth[leg.lower] = 1.0 / (1.0 + (jump / _JUMP) ** 2)
     both = np.mean([path.shift for path in paths], axis=0)
-    along_with = gaussian_filter1d(both, 0.1 * rate_hz, axis=0, mode="nearest")
+    along_with = gaussian_filter1d(both, 0.1 * rate_hz, axis=0, mode="nearest") * np.array([0.0, 1.0, 0.0])
     for _ in range(_NEWTON_STEPS):
         system = _System(frames)
-        system.add_own(along_with, _PATH_WEIGHT, _ACCELERATION_WEIGHT * rate_hz**2)
+        system.add_own(along_with, upright, _ACCELERATION_WEIGHT * rate_hz**2)
         for leg, path in zip(legs, paths, strict=True):
             line = leg.ankle + path.shift - leg.hip - shift
             distance = _norm(line)
@@ -104,6 +107,8 @@ def hips_path(legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, ca
             change = rate * (distance - before + np.sum(along * shift, axis=-1))
             system.add_knee(rate[:, None] * along, change, smooth[leg.lower] * (_KNEE_ACCELERATION_WEIGHT * rate_hz**2))
         shift = system.solution()
+        if upright:
+            shift[:, [0, 2]] = 0.0
     need = np.zeros(frames)
     for leg, path in zip(legs, paths, strict=True):
         far = leg.ankle + path.shift - leg.hip - shift
@@ -123,12 +128,14 @@ class _System:
         self.blocks = [np.zeros((frames, 3, 3)) for _ in range(3)]  # between frames t and t, t + 1, t + 2
         self.right = np.zeros((frames, 3))
 
-    def add_own(self, wanted: Floats, path: float, acceleration: float) -> None:
+    def add_own(self, wanted: Floats, upright: bool, acceleration: float) -> None:
         """How far the path is from a wanted one (T, 3), and the path's second difference."""
         for block, weight in zip(self.blocks, _second_differences(np.full(self.frames, acceleration)), strict=True):
             block += weight[:, None, None] * np.eye(3)
-        self.blocks[0] += path**2 * np.eye(3)
-        self.right += path**2 * wanted
+        level = 1e9 if upright else _LEVEL_WEIGHT
+        weights = np.array([level, _PATH_WEIGHT, level]) ** 2
+        self.blocks[0] += np.diag(weights)
+        self.right += weights * wanted
 
     def add_knee(self, along: Floats, change: Floats, acceleration: Floats) -> None:
         """``change - along . path`` (T,), and its second difference."""

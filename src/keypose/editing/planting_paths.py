@@ -18,6 +18,7 @@ HELD_M = 1e-5
 """A point that stays within this through a contact is held already, for a leg of 0.85 m."""
 
 _HELD_RAD = 5e-5
+_RAISED_RAD = 0.1  # a foot that is pitched more stands on its ball, heel up
 _LEAST_SHARE = 0.02  # of a lift beside a contact
 _LEVEL_RAD = 0.005  # a foot this near to flat is flat
 
@@ -128,7 +129,8 @@ def _levelling(side: str, footing: Footing, ball_from_ankle: Floats, ankle: Floa
         ball = ankle + ball_from_ankle
         under = footing.ground.heights(np.stack([ankle, ball]))
         wanted = _sole_alone(footing, side) + float(np.arctan2(under[1] - under[0], level))
-    if abs(wanted - now) < _LEVEL_RAD:
+    # a heel that is held up on purpose stays up
+    if abs(wanted - now) < _LEVEL_RAD or wanted - now > _RAISED_RAD:
         return np.array([1.0, 0.0, 0.0, 0.0])
     across = np.array([-ball_from_ankle[2], 0.0, ball_from_ankle[0]]) / level
     return quat.from_axis_angle(across, np.array(wanted - now))

@@ -145,7 +145,7 @@ def _moved(
                 pair.other,
                 touching=pair.touching,
                 heights=other.places[:, 1],
-                options=plant if pair.hind else replace(plant, move_hips=False),
+                options=plant if pair.hind else replace(plant, hips="still"),
             ).motion.pose
     return moved, feet, own
 
