@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +26,10 @@ def chain(places: Any, names: Any = None, parents: Any = None) -> Skeleton:
     ones = np.tile([1.0, 0, 0, 0], (len(places), 1))
     names = names or [f"j{n}" for n in range(len(places))]
     return Skeleton(tuple(names), parents, Pose(offsets, ones, np.ones((len(places), 3))))
+
+
+def shifted(points: Any, x: float, y: float, z: float) -> np.ndarray:
+    return np.asarray(points) + np.array([x, y, z], float)
 
 
 def tube(length: float = 4.0, radius: float = 0.5, rings: int = 41, around: int = 16, closed: bool = True) -> Mesh:
@@ -98,7 +103,8 @@ def test_far_from_the_joint_a_tube_moves_with_its_bone_as_a_rigid_body() -> None
     rotations = np.array(body.rest.rotations)
     rotations[1] = quat.from_axis_angle(np.array([0.0, 0, 1]), 1.0)
     moved = skin(mesh, bound, world(body, replace(body.rest, rotations=rotations)))
-    turned = quat.rotate(rotations[1], mesh.positions - [4, 0, 0]) + [4, 0, 0]
+    turned = quat.rotate(rotations[1], shifted(mesh.positions, -4, 0, 0))
+    turned = shifted(turned, 4, 0, 0)
     far = mesh.positions[:, 0] > 7.0
     assert np.abs(moved - turned)[far].max() < 0.03
     assert np.abs(moved - mesh.positions)[mesh.positions[:, 0] < 1.0].max() < 0.03
@@ -147,11 +153,9 @@ def test_turning_everything_hardly_matters() -> None:
     mesh = tube()
     plain = dense(automatic_weights(mesh, ARM), 2)
     turn = quat.from_axis_angle(np.array([0.6, 0.64, 0.48]), 0.8)
-    turned = Mesh(quat.rotate(turn, mesh.positions) + [1.0, 2, 3], mesh.triangles)
-    rest = ARM.rest
-    bones = chain(quat.rotate(turn, np.array([[0.0, 0, 0], [2.0, 0, 0]])) + [1.0, 2, 3])
+    turned = Mesh(shifted(quat.rotate(turn, mesh.positions), 1, 2, 3), mesh.triangles)
+    bones = chain(shifted(quat.rotate(turn, np.array([[0.0, 0, 0], [2.0, 0, 0]])), 1, 2, 3))
     assert_allclose(dense(automatic_weights(turned, bones), 2), plain, atol=0.02)  # voxels stand still
-    assert rest is ARM.rest
 
 
 def test_a_seam_does_not_crack_and_a_cut_mesh_is_one() -> None:
@@ -174,7 +178,7 @@ def test_a_seam_does_not_crack_and_a_cut_mesh_is_one() -> None:
 def test_heat_does_not_jump_from_one_leg_to_the_other() -> None:
     """Two tubes side by side, a hair's breadth apart: each sees its own bone only."""
     one = tube(4.0, 0.5)
-    two = Mesh(one.positions + [0, 0, 1.06], one.triangles)
+    two = Mesh(shifted(one.positions, 0, 0, 1.06), one.triangles)
     # the second bone lies at the edge of its tube, nearer to the first tube's side than that one's own
     body = chain([(0, 0, 0), (0, 0, 0.0), (3.8, 0, 0), (0, 0, 0.65), (3.8, 0, 0.65)], parents=[-1, 0, 1, 0, 3])
     weights = dense(automatic_weights(joined(one, two), body, joints=[1, 2, 3, 4]), 5)
@@ -192,20 +196,17 @@ def test_open_tubes_are_solid_too() -> None:
 
 
 def test_twist_joints_share_a_bone() -> None:
-    body = chain([(0, 0, 0), (2, 0, 0), (1, 0, 0)], ["arm", "hand", "twist"], [-1, 0, 0])
-    body = replace(body, names=("arm", "hand", "twist"))
-    end = chain([(0, 0, 0), (2, 0, 0), (1, 0, 0), (3, 0, 0)], ["arm", "hand", "twist", "finger"], [-1, 0, 0, 1])
+    body = chain([(0, 0, 0), (2, 0, 0), (1, 0, 0), (3, 0, 0)], ["arm", "hand", "twist", "finger"], [-1, 0, 0, 1])
     mesh = tube()
-    weights = dense(automatic_weights(mesh, end), 4)
+    weights = dense(automatic_weights(mesh, body), 4)
     x = mesh.positions[:, 0]
     ring = lambda v: weights[np.abs(x - v) < 1e-9].mean(axis=0)  # noqa: E731
     assert ring(0.4)[0] > 0.9 and ring(1.5)[2] > 0.9 and ring(2.6)[1] > 0.6 and ring(3.8)[3] > 0.9
-    assert body.names[2] == "twist"
 
 
 def test_a_bead_around_a_leaf_joint_is_that_joints_own() -> None:
     bead = tube(0.2, 0.1, 5, 8)
-    bead = Mesh(bead.positions + [3.0, 0.35, 0], bead.triangles)
+    bead = Mesh(shifted(bead.positions, 3.0, 0.35, 0), bead.triangles)
     body = chain([(0, 0, 0), (2, 0, 0), (3.9, 0, 0), (3.1, 0.35, 0)], parents=[-1, 0, 1, 1])
     found = automatic_weights(joined(tube(), bead), body)
     weights = dense(found, 4)
@@ -293,7 +294,7 @@ def test_progress_is_told() -> None:
     seen: list[tuple[int, int]] = []
     automatic_weights(tube(), ARM, progress=lambda done, total: seen.append((done, total)))
     assert seen and seen[-1][0] == seen[-1][1]
-    assert all(a[0] <= b[0] for a, b in zip(seen, seen[1:], strict=False))
+    assert all(a[0] <= b[0] for a, b in itertools.pairwise(seen))
 
 
 def test_wrong_input_is_named() -> None:

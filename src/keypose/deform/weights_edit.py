@@ -129,7 +129,7 @@ def mirror_weights(
     target = side < -near
     middle = np.abs(side) <= near
     triangles = np.asarray(mesh.triangles, np.int64)
-    giving = triangles[(side[triangles] >= -near).all(axis=1)]
+    giving = triangles[(side[triangles] >= -near).all(axis=1) & (side[triangles] > near).any(axis=1)]
     if not len(giving):
         raise ShapeError(f"mesh: expected triangles on the {source} side (x {'>' if sign > 0 else '<'} 0), got none")
     images = positions[target] * np.array([-1.0, 1.0, 1.0])
