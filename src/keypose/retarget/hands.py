@@ -13,6 +13,7 @@ import numpy as np
 
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
+from keypose.editing.planting_paths import smooth_over
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.ik import rotation_between_frames, solve_limb
@@ -35,6 +36,9 @@ _TOUCH = {
 
 # So far goes a head above its joint, in metres of a body with a leg of 0.85 m.
 _HEAD_M = 0.16
+
+# Seconds that a hand takes to set out for what it touches.
+_EASE_S = 0.12
 
 # A palm's middle lies this share of a forearm beyond the wrist where there are no fingers.
 _PALM = 0.35
@@ -78,9 +82,18 @@ class HeldHands:
 
 
 def keep_hands(
-    own: BodyFrames, turned: Floats, places: Floats, other: BodyFrames, pose: Pose, options: HandOptions, ratio: float
+    own: BodyFrames,
+    turned: Floats,
+    places: Floats,
+    other: BodyFrames,
+    pose: Pose,
+    options: HandOptions,
+    ratio: float,
+    rate_hz: float,
 ) -> HeldHands:
     """The target's pose (T) with hands beside body and props as in the source (T, J, 4), (T, J, 3).
+
+    A hand sets out for what it will touch a little before, and leaves it in the same way.
 
     ``ratio``: length on the target for a length on the source, of the way in the world.
 
@@ -91,6 +104,7 @@ def keep_hands(
     "Spatial relationship preserving character motion adaptation" (SIGGRAPH 2010); here in closed form for arms alone.
     """
     size = options.reach * own.leg_m / _LEG_M
+    ease = _EASE_S * rate_hz
     now, where = (np.asarray(a, np.float64) for a in world_rotations_positions(other.skeleton, pose))
     sides = [
         s for s in SIDES if all(f"{s}_{p}" in b.roles for p in ("upper_arm", "lower_arm", "hand") for b in (own, other))
@@ -102,19 +116,22 @@ def keep_hands(
     for side in sides:
         palm, moved = palms[side]
         pulls: list[tuple[Floats, Floats]] = []  # (weight (T,), way to go (T, 3))
+        alone = np.ones(len(places))
+        across = next((s for s in sides if s != side), None)
+        if across is not None:  # both go half the way to each other
+            beside, its = palms[across]
+            offset = quat.rotate(_between(own, other, turned, now), palm - beside) * body
+            share = _share(np.linalg.norm(palm - beside, axis=-1), "palm", size, ease)
+            pulls.append((share, 0.5 * (its + offset - moved)))
+            alone = 1.0 - share
         for part, low, high in _parts(side, own, other):
             goal, away = _beside(own, turned, places, other, now, where, low, high, palm, body)
-            pulls.append((_share(away, part, size), goal - moved))
+            # an arm whose hand comes along as well is told by that hand
+            pulls.append((_share(away, part, size, ease) * (alone if part == "arm" else 1.0), goal - moved))
         for prop in options.props:
             here, there = _prop(prop, len(places), ratio, own, other)
-            pulls.append(
-                (_share(np.linalg.norm(palm - here, axis=-1), "prop", size), there + body * (palm - here) - moved)
-            )
-        other_side = next((s for s in sides if s != side), None)
-        if other_side is not None:  # both go half the way to each other
-            beside, its = palms[other_side]
-            offset = quat.rotate(_between(own, other, turned, now), palm - beside) * body
-            pulls.append((_share(np.linalg.norm(palm - beside, axis=-1), "palm", size), 0.5 * (its + offset - moved)))
+            share = _share(np.linalg.norm(palm - here, axis=-1), "prop", size, ease)
+            pulls.append((share, there + body * (palm - here) - moved))
         kept[side], goals[side] = _together(pulls)
     rotations = np.array(np.asarray(pose.broadcast().rotations, np.float64))
     off: list[Floats] = []
@@ -203,11 +220,11 @@ def _prop(prop: Prop, frames: int, ratio: float, own: BodyFrames, other: BodyFra
     return found[0], found[1]
 
 
-def _share(away: Floats, part: str, size: float) -> Floats:
-    """1 when a palm touches a part, 0 when it is far away, smooth in between (T,)."""
+def _share(away: Floats, part: str, size: float, ease: float) -> Floats:
+    """1 when a palm touches a part, 0 when it is far away, smooth in space and in time (T,)."""
     near, far = (size * limit for limit in _TOUCH[part])
     u = np.clip((far - away) / (far - near), 0.0, 1.0)
-    return u * u * (3.0 - 2.0 * u)
+    return smooth_over(u * u * (3.0 - 2.0 * u), ease)
 
 
 def _together(pulls: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:

@@ -109,7 +109,7 @@ def retarget(
     if hands is not None:
         turned, places = _world(source, motion.pose)
         ratio = other.leg_m / own.leg_m if scale is None else float(scale)
-        held = keep_hands(own, turned, places, other, moved, hands, ratio)
+        held = keep_hands(own, turned, places, other, moved, hands, ratio, motion.rate_hz)
         moved, off_m = held.pose, held.off_m
     if attached is not None:
         moved = attached.pose_out(moved)
