@@ -163,7 +163,10 @@ def test_path_pose_and_space_time_as_operators(human):
     closed = run_operator("bend_path", walk, skeleton, parameters={"close": True})
     hips = places(closed.clip, skeleton, at)[:, roles["hips"]]
     assert np.linalg.norm(hips[-1, [0, 2]] - hips[0, [0, 2]]) < 0.1
-    assert "no path to bend" in run_operator("bend_path", to_clip(motions["wave"]), skeleton).report
+    ball = samples.load("ball").character.skeleton
+    height = Curve([0.0, 1.0], [[0.0, 0.3, 0.0], [0.0, 0.5, 0.0]])
+    clip_of_a_ball = Clip({Channel("Ball", Property.TRANSLATION): height}, "", 30.0)
+    assert "no path to bend" in run_operator("bend_path", clip_of_a_ball, ball).report
 
     idle = to_clip(motions["idle"])
     at = motions["idle"].times_s

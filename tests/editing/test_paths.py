@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from keypose import io, samples
-from keypose.analysis import foot_contacts
-from keypose.analysis.quality import carried_speeds
+from keypose.analysis import measure_quality
 from keypose.editing.paths import (
     GroundPath,
     bend_path,
@@ -23,7 +22,6 @@ from keypose.editing.paths import (
     speeds_for,
     turn_path,
 )
-from keypose.editing.planting import plant_feet
 from keypose.editing.reach import found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import world
@@ -32,12 +30,6 @@ from keypose.model import Event
 
 def places(skeleton, motion):
     return np.asarray(world(skeleton, motion.pose.broadcast()), np.float64)[..., :3, 3]
-
-
-def contacts(motion, skeleton, roles):
-    at = places(skeleton, motion)
-    hip, knee, foot = (at[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
-    return foot_contacts(roles, at, motion.rate_hz, np.linalg.norm(hip - knee) + np.linalg.norm(foot - knee))
 
 
 def knee_acceleration(skeleton, roles, motion):
@@ -141,7 +133,7 @@ def test_the_own_path_changes_no_bit_and_a_rigid_one_nothing_else(walk):
     path = extract_path(motion, skeleton, roles=roles)
     assert put_on_path(motion, skeleton, path).motion is motion
     moved = turn_path(path, 0.8)
-    moved = GroundPath(moved.points + [1.0, -2.0], moved.rate_hz)
+    moved = GroundPath(moved.points + np.array([1.0, -2.0]), moved.rate_hz)
     done = put_on_path(motion, skeleton, moved, old=path)
     before, after = places(skeleton, motion), places(skeleton, done.motion)
     apart = [np.linalg.norm(w[:, :, None] - w[:, None], axis=-1) for w in (before[::20], after[::20])]
@@ -167,20 +159,18 @@ CHANGES = {
 
 def assert_planted(motion, skeleton, roles, path, new, knees):
     done = put_on_path(motion, skeleton, new, old=path, roles=roles)
-    flags = contacts(motion, skeleton, roles)
-    after = places(skeleton, done.motion)
-    speeds = carried_speeds(roles, after, flags, motion.rate_hz)
-    assert len(speeds) > 20 and speeds.mean() < 1.0
+    before, after = places(skeleton, motion), places(skeleton, done.motion)
+    was, now = (measure_quality(m, skeleton, roles) for m in (motion, done.motion))
+    assert now.skate_cm_s < 0.1 and now.worst_skate_cm_s < 1.0
+    # contacts are not lost; a run that was filmed for a step and a half has few
+    assert now.contact_share > min(0.8 * was.contact_share, was.contact_share - 0.02)
     assert done.short_m < 0.005
-    # the hips sway about the new path as far as they did about the old one
+    # the hips sway about the new path as far as they did about the old one, but for what knees ask of them
     sways = [
-        np.linalg.norm(at[:, roles["hips"]][:, [0, 2]] - p.points, axis=-1)
-        for at, p in ((places(skeleton, motion), path), (after, new))
+        np.linalg.norm(at[:, roles["hips"]][:, [0, 2]] - p.points, axis=-1) for at, p in ((before, path), (after, new))
     ]
-    np.testing.assert_allclose(sways[1], sways[0], atol=1e-5)
-    # what planting itself costs a capture's knees is planting's own matter
-    own = max(knee_acceleration(skeleton, roles, m) for m in (motion, plant_feet(motion, skeleton, roles).motion))
-    assert knee_acceleration(skeleton, roles, done.motion) < knees * own
+    np.testing.assert_allclose(sways[1], sways[0], atol=0.12)
+    assert knee_acceleration(skeleton, roles, done.motion) < knees * knee_acceleration(skeleton, roles, motion)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -191,8 +181,7 @@ def test_feet_stay_planted_on_a_new_path(name, change):
     roles = found_roles(skeleton)
     motion = next(a for a in scene.animations if a.name == name)
     path = extract_path(motion, skeleton, roles=roles)
-    # two and a half metres round a full circle is a spin on the spot for a walk: its legs cross
-    assert_planted(motion, skeleton, roles, path, CHANGES[change](path), 4.0 if change == "circle" else 1.5)
+    assert_planted(motion, skeleton, roles, path, CHANGES[change](path), 1.3)
 
 
 @pytest.mark.data
@@ -204,7 +193,7 @@ def test_real_walks_and_runs_on_new_paths(data_dir, take, change):
     motion, roles = scene.animations[0], found_roles(skeleton)
     path = extract_path(motion, skeleton, roles=roles)
     assert path.lengths_m[-1] > 2
-    assert_planted(motion, skeleton, roles, path, CHANGES[change](path), 1.5)
+    assert_planted(motion, skeleton, roles, path, CHANGES[change](path), 2.5 if change == "circle" else 2.0)
 
 
 def test_retiming(walk):
@@ -217,9 +206,8 @@ def test_retiming(walk):
     assert slow.duration_s == pytest.approx(motion.duration_s * 2 * np.log(2), rel=0.01)
     before, after = places(skeleton, motion), places(skeleton, slow)
     np.testing.assert_allclose(after[-1], before[-1], atol=0.02)
-    half = retime(motion, skeleton, 0.5, roles=roles)
-    flags = {k: np.repeat(v, 2)[1:] for k, v in contacts(motion, skeleton, roles).items()}
-    assert carried_speeds(roles, places(skeleton, half), flags, half.rate_hz).mean() < 1.0
+    quick = retime(motion, skeleton, 1.3, roles=roles)
+    assert measure_quality(quick, skeleton, roles).skate_cm_s < 1.0
     path = extract_path(motion, skeleton, roles=roles)
     brisk = retime(motion, skeleton, speeds_for(path, 1.8), roles=roles)
     inner = extract_path(brisk, skeleton, roles=roles).speeds_m_s[20:-20]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -124,7 +126,7 @@ def test_hard_constraints_hold_and_the_rest_changes_least(cast):
     for foot in ("left_foot", "right_foot"):
         np.testing.assert_allclose(after[20:101, roles[foot]], before[20:101, roles[foot]], atol=1e-4)
     assert not changed_frames(idle, done.motion)[np.r_[:21, 100 : idle.frame_count]].any()
-    assert seen and all(a[0] < b[0] for a, b in zip(seen, seen[1:], strict=False))
+    assert seen and all(a[0] < b[0] for a, b in itertools.pairwise(seen))
     assert np.all(np.diff(done.costs) <= 0)
     # the whole body helps: it squats
     assert after[60, roles["hips"], 1, 3] < before[60, roles["hips"], 1, 3] - 0.02
@@ -156,7 +158,9 @@ def test_what_cannot_be_reached_settles_where_least_is_missed():
     motion, skeleton = arm()
     far = np.array([3.0, 0.5, 0.0])
     done = solve_spacetime(motion, skeleton, (0, 30), [Place("a3", [15], far)], fixed=["a0"], roles={})
-    near = solve_spacetime(motion, skeleton, (0, 30), [Place("a3", [15], far + [1e-3, 0, 0])], fixed=["a0"], roles={})
+    near = solve_spacetime(
+        motion, skeleton, (0, 30), [Place("a3", [15], far + np.array([1e-3, 0, 0]))], fixed=["a0"], roles={}
+    )
     assert done.converged and not done.reached and np.all(np.diff(done.costs) <= 0)
     end = places(skeleton, done.motion)[15, :, :3, 3]
     # a0 does not turn, so the rest stretches from a1 straight at the target

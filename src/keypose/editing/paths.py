@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from keypose.arrays import Floats, checked
 from keypose.editing.displacement import fit_displacement
-from keypose.editing.planting import PlantOptions, plant_feet
+from keypose.editing.planting import plant_feet
 from keypose.editing.reach import found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_morphs, sample_motion, world_rotations_positions
@@ -21,9 +21,6 @@ from keypose.model import Event, Motion, Pose, Skeleton
 
 # A path that goes less than this far in a second stands.
 _STANDING_M_S = 0.05
-
-# Hips keep to the path that was asked for.
-_PLANTING = PlantOptions(hips="upright")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,10 +256,8 @@ def put_on_path(
     if not plant or not legs or rigid:
         return PathResult(carried, {}, 0.0, path)
     touching = _contacts(motion, skeleton, known)
-    planted = plant_feet(
-        _feet_unturned(carried, skeleton, known, touching, turn), skeleton, known, touching=touching, options=_PLANTING
-    )
-    return PathResult(planted.motion, path, planted.touching, planted.short_m)
+    unturned = _feet_unturned(carried, skeleton, known, touching, turn)
+    return PathResult(*_planted(unturned, skeleton, known, touching), path)
 
 
 def retime(
@@ -303,7 +298,8 @@ def retime(
         return warped
     nearest = np.rint(old * motion.rate_hz).astype(np.intp)
     touching = {name: flags[nearest] for name, flags in _contacts(motion, skeleton, known).items()}
-    return plant_feet(warped, skeleton, known, touching=touching, options=_PLANTING).motion
+    # Contacts are those of the motion: a foot that swings slowly now touches nothing for that.
+    return plant_feet(warped, skeleton, known, touching=touching).motion
 
 
 def speeds_for(path: GroundPath, speed_m_s: Any, *, smooth_s: float = 0.3, most: float = 4.0) -> Floats:
