@@ -1,0 +1,66 @@
+"""`keypose skin` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from keypose import io
+from tests.cli.test_cli import keypose, refused
+
+
+@pytest.fixture(scope="module")
+def statue(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The human's mesh without a skeleton."""
+    path = tmp_path_factory.mktemp("statue") / "statue.obj"
+    done = keypose("convert", "sample:human", path, "-q")
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def test_a_statue_gets_a_skeleton_and_moves(statue: Path, tmp_path: Path) -> None:
+    out = tmp_path / "hero.glb"
+    done = keypose("skin", statue, out, "--skeleton", "sample:walk")
+    assert done.returncode == 0, done.stderr
+    assert "bone heat" in done.stdout and "61 joints" in done.stdout
+    scene = io.load(out)
+    assert len(scene.animations) == 1 and all(p.skin is not None for p in scene.character.parts)
+    for part in scene.character.parts:
+        assert part.skin is not None and part.skin.influence_count <= 4
+        np.testing.assert_allclose(part.skin.weights.sum(axis=1), 1.0, atol=1e-5)
+    assert scene.character.vertex_count > 9000
+
+
+def test_a_character_is_weighted_anew(tmp_path: Path) -> None:
+    out = tmp_path / "human.glb"
+    done = keypose("skin", "sample:human", out, "--influences", 2, "--strength", 2, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["influences"] == 2 and found["joints_without"] == [] and found["rigid"] >= 2
+    assert keypose("skin", "sample:human", tmp_path / "quiet.glb", "-q", "--joints", "Hips, Head").stdout == ""
+    skins = [p.skin for p in io.load(tmp_path / "quiet.glb").character.parts]
+    assert {int(j) for s in skins if s is not None for j in s.palette[np.unique(s.joints[s.weights > 0])]} <= {0, 5}
+
+
+@pytest.mark.data
+def test_real_files(data_dir: Path, tmp_path: Path) -> None:
+    base, bones = data_dir / "makehuman/base.obj", data_dir / "makehuman/tpose.bvh"
+    done = keypose("skin", base, tmp_path / "body.glb", "--skeleton", bones, "--dual-quaternion")
+    assert done.returncode == 0, done.stderr
+    assert "pieces" in done.stdout and io.load(tmp_path / "body.glb").character.vertex_count > 14000
+
+
+def test_what_cannot_be_done_is_said_in_one_line(statue: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.glb"
+    bones = tmp_path / "bones.bvh"
+    assert keypose("convert", "sample:walk", bones, "-q").returncode == 0
+    assert "no mesh" in refused(keypose("skin", bones, out))
+    assert "nearest: 'Hips'" in refused(keypose("skin", "sample:human", out, "--joints", "Hisp"))
+    assert "one of the inputs" in refused(keypose("skin", statue, statue, "--skeleton", "sample:walk"))
+    assert ".xyz" in refused(keypose("skin", "sample:human", tmp_path / "out.xyz"))
+    assert "clip 'Run'" in refused(keypose("skin", "sample:walk", out, "--clip", "Run"))
+    assert keypose("skin", "sample:human", out, "--influences", 0).returncode == 2
+    assert not out.exists()
