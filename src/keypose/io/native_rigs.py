@@ -342,6 +342,6 @@ def _three(item: Json, key: str) -> tuple[str, str, str]:
 
 def _property(item: Json) -> Property:
     known = {p.value: p for p in Property}
-    if item.value not in known:
+    if not isinstance(item.value, str) or item.value not in known:
         item.fail(f"expected one of {', '.join(known)}, got {str(item.value)[:40]!r}")
     return known[item.value]

@@ -118,6 +118,9 @@ def read_body(skeleton: Skeleton, roles: Mapping[str, int], character: Character
     ends = [roles[f"{s}_{p}"] for s in SIDES for p in ("foot", "toes") if f"{s}_{p}" in roles]
     ground = min(float(places[j] @ up) for j in ends)
     size = float(places[roles["head"]] @ up) - ground
+    # ankles and toes lie a little above the soles: who stands on the origin's plane stands on the ground there
+    if 0.0 < ground < 0.08 * size:
+        size, ground = size + ground, 0.0
     if size <= 1e-6:
         raise KeyposeError("the rest pose is no stand: the head is not above the feet")
     top = next((roles[r] for r in ("upper_chest", "chest", "spine") if r in roles), roles["hips"])

@@ -215,6 +215,8 @@ def _matched(
         for kind, control in own.plan.order:
             if kind == CONTROL and control in found and (control in forward) != to_ik:
                 own.local[control] = inverse(own.frame(control)) @ found[control]
+        # a rolled foot carries its toes in another way than the foot of FK
+        fit_owned(own, module)
     return _control_pose(own, rig.controls, batch), _values(rig, own, batch)
 
 
