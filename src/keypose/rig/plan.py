@@ -119,7 +119,8 @@ def check_rig(rig: Rig, skeleton: Skeleton) -> None:
 @lru_cache(maxsize=16)
 def plan_of(rig: Rig, skeleton: Skeleton) -> Plan:
     """The plan of a rig on a skeleton; made once for both."""
-    return _Planner(rig, skeleton).plan()
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of damaged files
+        return _Planner(rig, skeleton).plan()
 
 
 def rest_frames(skeleton: Skeleton) -> Floats:
