@@ -12,6 +12,7 @@ import numpy as np
 from keypose.analysis.ground import Ground, GroundKind, fit_ground, point_speeds, still_spells, true_runs
 from keypose.arrays import Floats, as_float, checked
 from keypose.errors import ShapeError
+from keypose.model import Event
 
 STILL_M = 1e-6
 """A step of a frame that is rounding and no motion, for a leg of 0.85 m."""
@@ -74,22 +75,30 @@ def find_contacts(
 @dataclass(frozen=True, slots=True)
 class Sole:
     """Where the heel's contact point lies from ankle and ball: the angle of the line from ankle to ball over the level plane
-    where the foot is flat, and how far behind the ankle the heel is (shares of that line's length).
+    where the foot is flat, and how far behind the ankle the heel and ahead of the ball the tip of the toes is (shares of that
+    line's length).
     """
 
     flat: float
     behind: float = 0.3
+    ahead: float = 0.45
 
     def heel_offsets(self, ball_from_ankle: Floats) -> Floats:
         """From the ankle to the heel (*B, 3) on the ball's level when flat; the foot may be pitched, its roll is left out."""
+        return self._turned(ball_from_ankle, -self.behind * np.cos(self.flat), np.sin(self.flat))
+
+    def tip_offsets(self, ball_from_ankle: Floats) -> Floats:
+        """From the ball to the tip of straight toes (*B, 3), on the ball's level when flat."""
+        return self._turned(ball_from_ankle, self.ahead * np.cos(self.flat), 0.0)
+
+    def _turned(self, ball_from_ankle: Floats, ahead: float, up: float) -> Floats:
+        """A way in the flat foot, ahead and up by shares of the line from ankle to ball, pitched as the foot is."""
         level = np.hypot(ball_from_ankle[..., 0], ball_from_ankle[..., 2])
         length = np.linalg.norm(ball_from_ankle, axis=-1)
         pitch = np.arctan2(ball_from_ankle[..., 1], level) - self.flat
-        back, down = self.behind * np.cos(self.flat) * length, -np.sin(self.flat) * length
-        ahead = -back * np.cos(pitch) + down * np.sin(pitch)
-        up = -back * np.sin(pitch) - down * np.cos(pitch)
-        along = ahead / np.maximum(level, 1e-9)
-        return np.stack([along * ball_from_ankle[..., 0], up, along * ball_from_ankle[..., 2]], axis=-1)
+        along = length * (ahead * np.cos(pitch) - up * np.sin(pitch)) / np.maximum(level, 1e-9)
+        high = length * (ahead * np.sin(pitch) + up * np.cos(pitch))
+        return np.stack([along * ball_from_ankle[..., 0], high, along * ball_from_ankle[..., 2]], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +121,38 @@ class Footing:
         """How high (T,) a point is over where it stands, metres."""
         track = self.points[point]
         return track[:, 1] - self.ground.heights(track) - self.stand_m[point.partition("_")[0]]
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSpan:
+    """One contact: the point (``left_heel``, ``left_ball`` ...), first and last frame, times, and where it is (metres)."""
+
+    point: str
+    first: int
+    last: int
+    start_s: float
+    end_s: float
+    place: tuple[float, float, float]
+
+
+def contact_spans(footing: Footing, start_s: float = 0.0) -> tuple[ContactSpan, ...]:
+    """The contacts of a footing one by one, in order of time; ``start_s`` is the time of its first frame."""
+    found: list[ContactSpan] = []
+    for point, flags in footing.touching.items():
+        for first, stop in true_runs(flags):
+            x, y, z = (float(v) for v in np.median(footing.points[point][first:stop], axis=0))
+            begin, end = (start_s + f / footing.rate_hz for f in (first, stop - 1))
+            found.append(ContactSpan(point, first, stop - 1, begin, end, (x, y, z)))
+    return tuple(sorted(found, key=lambda c: (c.first, c.point)))
+
+
+def contact_events(footing: Footing, start_s: float = 0.0) -> tuple[Event, ...]:
+    """The contacts of a footing as events ``left_ball.down``, ``left_ball.up``; what is down at the first frame has no ``down``."""
+    found: list[Event] = []
+    for point, flags in footing.touching.items():
+        for word, frames in zip(("down", "up"), contact_changes(flags), strict=True):
+            found += [Event(start_s + float(f) / footing.rate_hz, f"{point}.{word}") for f in frames]
+    return tuple(sorted(found, key=lambda e: (e.time_s, e.name)))
 
 
 def find_footing(

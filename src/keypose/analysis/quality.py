@@ -1,5 +1,5 @@
-"""The quality of a motion in figures: sliding and sinking feet, floating, jerks and pops, bodies that pass through themselves,
-and how well a loop closes. A take can be compared with another frame by frame.
+"""The quality of a motion in figures: sliding and sinking feet, floating, jerks and pops, joints beyond their limits, bodies that
+pass through themselves, and how well a loop closes.
 """
 
 from __future__ import annotations
@@ -10,15 +10,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.contacts import foot_contacts, foot_points
+from keypose.analysis.ground import Ground
+from keypose.analysis.limits import human_limits
+from keypose.analysis.quality_feet import FeetTracks, carried_speeds, follow_feet
+from keypose.analysis.quality_takes import TakeDifference, compare_takes
 from keypose.analysis.roles import SIDES, find_roles
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
-from keypose.evaluate import match, match_report, world_rotations_positions
+from keypose.evaluate import match, world_rotations_positions
+from keypose.ik.limits import find_limit_breaks
 from keypose.math import quat
-from keypose.model import Motion, Skeleton
+from keypose.model import Motion, Pose, Skeleton
 
-_GRAVITY = 9.81
+__all__ = [
+    "Quality",
+    "QualityTracks",
+    "TakeDifference",
+    "carried_speeds",
+    "compare_takes",
+    "measure_quality",
+    "quality_tracks",
+]
 
 # Radii of the body's capsules as shares of its height (rounded from anthropometric breadths).
 _CAPSULES: tuple[tuple[str, str, float], ...] = (
@@ -39,17 +51,23 @@ _CAPSULES: tuple[tuple[str, str, float], ...] = (
 # A step of acceleration so many times the usual one is a pop.
 _POP = 12.0
 
+_LIMIT_TOLERANCE = np.radians(5.0)  # limits are those of people in general
+_NEEDED_FOR_LIMITS = ("hips", *(f"{s}_{p}" for s in SIDES for p in ("upper_leg", "lower_leg", "foot", "upper_arm")))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quality:
     """Figures of one motion; None where the skeleton does not tell (no feet, no humanoid).
 
     Units:
+        ground_m, ground: height of the ground under the first frame, and its shape in words.
         skate_cm_s, worst_skate_cm_s: level speed of the carrying point of feet in contact, mean and largest.
         contact_share: share of the frames with a foot on the ground.
         sink_cm, sink_share: deepest place of a foot under the ground; share of frames deeper than 1 cm.
         float_share: share of frames in which both feet are clear of the ground and the body does not fall.
         jerk_m_s3: root mean square jerk of all joints; pops: (frame, joint, times the usual step of acceleration), worst first.
+        limit_deg: how far a joint turns beyond what joints of people do, at most; limit_breaks: (joint, degrees, frame, share of
+            the frames) of each that does by more than 5 degrees, worst first.
         overlap_cm: how deep two limbs or limb and trunk lie in each other at most, and overlap: which and when.
         loop_cm, loop_deg: between the last and the first frame, root travel taken out, largest joint distance and rotation.
     """
@@ -57,6 +75,7 @@ class Quality:
     frames: int
     rate_hz: float
     ground_m: float
+    ground: str
     skate_cm_s: float | None
     worst_skate_cm_s: float | None
     contact_share: float | None
@@ -65,6 +84,8 @@ class Quality:
     float_share: float | None
     jerk_m_s3: float
     pops: tuple[tuple[int, str, float], ...]
+    limit_deg: float | None
+    limit_breaks: tuple[tuple[str, float, int, float], ...]
     overlap_cm: float | None
     overlap: str
     loop_cm: float
@@ -87,6 +108,10 @@ class Quality:
         found.append(f"jerk {self.jerk_m_s3:.0f} m/s3 (root mean square)")
         for frame, joint, times in self.pops[:3]:
             found.append(f"pop at frame {frame}: {joint}, {times:.0f} times the usual step of acceleration")
+        for joint, degrees, frame, share in self.limit_breaks[:3]:
+            found.append(
+                f"{joint} turns {degrees:.0f} degrees beyond its limit at frame {frame} ({share:.0%} of the frames)"
+            )
         if self.overlap_cm is not None:
             found.append(
                 f"limbs overlap {self.overlap_cm:.1f} cm at most{f' ({self.overlap})' if self.overlap else ''}"
@@ -95,100 +120,127 @@ class Quality:
         return found
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class QualityTracks:
+    """What `Quality` sums up, frame by frame.
+
+    Shapes and units: ``feet`` (None without two legs); ``jerk_m_s3`` (T,) root mean square over joints; ``pop`` (T,) the largest
+    step of acceleration of a joint, times its usual one.
+    """
+
+    rate_hz: float
+    start_s: float
+    feet: FeetTracks | None
+    jerk_m_s3: Floats
+    pop: Floats
+
+
 def measure_quality(
-    motion: Motion, skeleton: Skeleton, roles: Mapping[str, int] | None = None, ground_m: float | None = None
+    motion: Motion,
+    skeleton: Skeleton,
+    roles: Mapping[str, int] | None = None,
+    ground_m: float | None = None,
+    *,
+    ground: Ground | None = None,
+    touching: Mapping[str, np.ndarray] | None = None,
+    stand: Pose | None = None,
 ) -> Quality:
     """The quality meter.
 
-    ``roles`` are found if not given. ``ground_m`` is the height of the ground; if not given, the lowest height of toes and
-    feet, without the lowest two in a hundred frames, less nothing: a joint lies inside the foot.
+    ``roles`` are found if not given. ``ground_m`` is the height of a level ground, ``ground`` any; if not given, it is where feet
+    stand: see `find_footing` (a joint lies inside the foot: how high it stands over a known ground is looked at, too).
+    ``touching``: contacts as `foot_contacts` has them, if they are known. ``stand``: an upright pose (no batch), where the rest
+    pose is none, for the limits of joints.
 
     Raises:
         ShapeError: where the motion has fewer than two frames.
 
     Source: foot skate as in Ikemoto et al. (I3D 2006); jerk as the third derivative of joint positions (Flash and Hogan 1985).
     """
-    motion = match(motion, skeleton)
-    if motion.frame_count < 2:
-        raise ShapeError(f"motion '{motion.name}': expected at least 2 frames, got {motion.frame_count}")
+    motion = _matched(motion, skeleton)
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
     known = dict(find_roles(skeleton).roles if roles is None else roles)
-    feet = _Feet(known, places, motion.rate_hz, ground_m)
+    asked = Ground(ground_m) if ground is None and ground_m is not None else ground
+    feet = follow_feet(known, places, motion.rate_hz, ground=asked, touching=touching)
+    skate = worst = share = sink = sinking = floating = None
+    low, words = float(places[..., 1].min()) if ground_m is None else ground_m, ""
+    if feet is not None:
+        low = float(feet.footing.ground.heights(places[:1, known["left_foot"]])[0])
+        words = feet.footing.ground.describe()
+        speeds = np.concatenate(list(feet.slide_cm_s.values()))
+        speeds = speeds[np.isfinite(speeds)]
+        skate, worst = (float(speeds.mean()), float(speeds.max())) if len(speeds) else (0.0, 0.0)
+        share = float(np.any(list(feet.footing.touching.values()), axis=0).mean())
+        sink, sinking = float(feet.sink_cm.max()), float((feet.sink_cm > 1.0).mean())
+        floating = float(feet.floats.mean())
     depth, pair = _overlap(known, places)
     jump, turn = _loop(motion, skeleton, known, places)
-    rms, pops = _jerks(places, motion.rate_hz, skeleton.names)
+    rms, pops = _pops(_third_differences(places), motion.rate_hz, skeleton.names)
+    beyond, breaks = _limit_breaks(motion, skeleton, known, stand)
     return Quality(
-        motion.frame_count, motion.rate_hz, feet.ground, feet.skate, feet.worst, feet.share, feet.sink, feet.sinking,
-        feet.floating, rms, pops, depth, pair, jump, turn,
+        motion.frame_count, motion.rate_hz, low, words, skate, worst, share, sink, sinking, floating, rms, pops,
+        beyond, breaks, depth, pair, jump, turn,
     )  # fmt: skip
 
 
-class _Feet:
-    """What feet do with the ground."""
-
-    def __init__(self, roles: Mapping[str, int], places: Floats, rate_hz: float, ground_m: float | None) -> None:
-        points = [roles[f"{s}_{p}"] for s in SIDES for p in ("toes", "foot") if f"{s}_{p}" in roles]
-        self.ground = float(places[..., 1].min()) if ground_m is None else ground_m
-        self.skate = self.worst = self.share = self.sink = self.sinking = self.floating = None
-        if not points or any(f"{s}_{p}" not in roles for s in SIDES for p in ("upper_leg", "lower_leg", "foot")):
-            return
-        if ground_m is None:
-            self.ground = float(np.percentile(places[:, points, 1].min(axis=1), 2.0))
-        hip, knee, foot = (places[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
-        leg = float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
-        touching = foot_contacts(roles, places, rate_hz, leg)
-        standing = np.any(list(touching.values()), axis=0)
-        self.share = float(standing.mean())
-        speeds = carried_speeds(roles, places, touching, rate_hz)
-        self.skate, self.worst = (float(speeds.mean()), float(speeds.max())) if len(speeds) else (0.0, 0.0)
-        under = 100.0 * (self.ground - places[:, points, 1].min(axis=1))
-        self.sink, self.sinking = max(0.0, float(under.max())), float((under > 1.0).mean())
-        clear = places[:, points, 1].min(axis=1) - self.ground > 0.05 * leg
-        self.floating = _floating(places, roles, standing | ~clear, rate_hz)
+def quality_tracks(
+    motion: Motion,
+    skeleton: Skeleton,
+    roles: Mapping[str, int] | None = None,
+    *,
+    ground: Ground | None = None,
+    touching: Mapping[str, np.ndarray] | None = None,
+) -> QualityTracks:
+    """What feet and jerks do frame by frame, with the arguments and errors of `measure_quality`."""
+    motion = _matched(motion, skeleton)
+    places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
+    known = dict(find_roles(skeleton).roles if roles is None else roles)
+    feet = follow_feet(known, places, motion.rate_hz, ground=ground, touching=touching)
+    third = _third_differences(places)
+    jerk, pop = np.zeros(motion.frame_count), np.zeros(motion.frame_count)
+    if len(third):
+        jerk[2:-1] = np.sqrt(np.mean(third**2, axis=1)) * motion.rate_hz**3
+        pop[2:-1] = (third / _usual(third)).max(axis=1)
+    return QualityTracks(motion.rate_hz, motion.start_s, feet, jerk, pop)
 
 
-def carried_speeds(
-    roles: Mapping[str, int], places: Floats, touching: Mapping[str, np.ndarray], rate_hz: float
-) -> Floats:
-    """Level speeds in cm/s (N,) of the points that carry: a foot's ball while it is down, else its heel.
-
-    Only steps that begin and end in contact count; ``touching`` is that of `foot_contacts`.
-    """
-    found: list[Floats] = []
-    none = np.zeros(len(places), bool)
-    points = foot_points(roles, places, touching)
-    for side in SIDES:
-        ball, heel = touching.get(f"{side}_ball", none), touching.get(f"{side}_heel", none)
-        for name, flag in ((f"{side}_ball", ball), (f"{side}_heel", heel & ~ball)):
-            if name not in points:
-                continue
-            step = np.diff(points[name], axis=0)[flag[1:] & flag[:-1]]
-            found.append(100.0 * rate_hz * np.hypot(step[:, 0], step[:, 2]))
-    return np.concatenate(found) if found else np.zeros(0)
+def _matched(motion: Motion, skeleton: Skeleton) -> Motion:
+    motion = match(motion, skeleton)
+    if motion.frame_count < 2:
+        raise ShapeError(f"motion '{motion.name}': expected at least 2 frames, got {motion.frame_count}")
+    return motion
 
 
-def _floating(places: Floats, roles: Mapping[str, int], carried: np.ndarray, rate_hz: float) -> float:
-    """Share of the frames in which nothing carries the body and it does not fall either."""
-    if len(places) < 5 or "hips" not in roles:
-        return 0.0
-    trunk = places[:, [roles[r] for r in ("hips", "chest", "spine", "head") if r in roles], 1].mean(axis=1)
-    # over a tenth of a second, or the noise of a capture hides what gravity does
-    half = max(1, round(0.05 * rate_hz))
-    fall = np.zeros(len(trunk))
-    fall[half:-half] = (trunk[2 * half :] - 2 * trunk[half:-half] + trunk[: -2 * half]) * (rate_hz / half) ** 2
-    inner = np.zeros(len(trunk), bool)
-    inner[half:-half] = True
-    return float((inner & ~carried & (fall > -0.4 * _GRAVITY)).mean())
+def _limit_breaks(
+    motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], stand: Pose | None
+) -> tuple[float | None, tuple[tuple[str, float, int, float], ...]]:
+    """By how much joints turn beyond their limits at most, in degrees, and which; None for what is no humanoid."""
+    if any(role not in roles for role in _NEEDED_FOR_LIMITS):
+        return None, ()
+    limits = human_limits(skeleton, roles, stand)
+    found = find_limit_breaks(motion, skeleton, limits, _LIMIT_TOLERANCE)
+    rows = tuple((b.joint, float(np.degrees(b.worst_rad)), b.frame, b.share) for b in found)
+    return max((row[1] for row in rows), default=0.0), rows
 
 
-def _jerks(places: Floats, rate_hz: float, names: tuple[str, ...]) -> tuple[float, tuple[tuple[int, str, float], ...]]:
+def _third_differences(places: Floats) -> Floats:
+    """Lengths (T - 3, J), metres a frame cubed; none for fewer than five frames."""
     if len(places) < 5:
-        return 0.0, ()
-    third = np.linalg.norm(np.diff(places, n=3, axis=0), axis=-1)  # (T - 3, J) metres a frame cubed
-    rms = float(np.sqrt(np.mean(third**2))) * rate_hz**3
+        return np.zeros((0, places.shape[1]))
+    third = np.diff(places, n=3, axis=0)
+    return np.sqrt(np.einsum("...i,...i", third, third))
+
+
+def _usual(third: Floats) -> Floats:
     # A motion made by hand is smooth to nothing: what cannot be seen (half a millimetre) is no measure.
-    usual = np.maximum(np.median(third, axis=0), 5e-4)
-    ratio = third / usual
+    return np.maximum(np.median(third, axis=0), 5e-4)
+
+
+def _pops(third: Floats, rate_hz: float, names: tuple[str, ...]) -> tuple[float, tuple[tuple[int, str, float], ...]]:
+    if not len(third):
+        return 0.0, ()
+    rms = float(np.sqrt(np.mean(third**2))) * rate_hz**3
+    ratio = third / _usual(third)
     pops: list[tuple[int, str, float]] = []
     for at in np.argsort(ratio.max(axis=1))[::-1]:
         joint = int(np.argmax(ratio[at]))
@@ -251,66 +303,3 @@ def _loop(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], places: 
     inner = [j for j in range(len(skeleton.names)) if j != root]
     angle = quat.angle_between(local[0, inner], local[-1, inner]) if inner else np.zeros(1)
     return 100.0 * float(np.linalg.norm(back - ends[0], axis=-1).max()), float(np.degrees(np.max(angle)))
-
-
-@dataclass(frozen=True, slots=True)
-class TakeDifference:
-    """Two takes frame by frame: mean and largest joint distance (cm), mean and largest angle of local rotations (degrees),
-    and L2P / L2Q, the norms used to compare in-betweens (Harvey et al., SIGGRAPH 2020).
-    """
-
-    frames: int
-    mean_cm: float
-    worst_cm: float
-    mean_deg: float
-    worst_deg: float
-    l2p: float
-    l2q: float
-
-    def lines(self) -> list[str]:
-        """The figures as short lines for people."""
-        return [
-            f"joints differ {self.mean_cm:.2f} cm on average, {self.worst_cm:.2f} at most",
-            f"rotations differ {self.mean_deg:.2f} degrees on average, {self.worst_deg:.2f} at most",
-            f"L2P {self.l2p:.4f} m, L2Q {self.l2q:.4f} over {self.frames} frames",
-        ]
-
-
-def compare_takes(first: Motion, second: Motion, skeleton: Skeleton) -> TakeDifference:
-    """Two motions of one skeleton, over the frames that both have.
-
-    Raises:
-        ShapeError: where their rates differ, or most joints of one have no namesake in the skeleton.
-    """
-    if abs(first.rate_hz - second.rate_hz) > 1e-6 * first.rate_hz:
-        raise ShapeError(f"rates differ: {first.rate_hz:g} and {second.rate_hz:g} Hz; resample one of them")
-    for motion in (first, second):
-        found = match_report(motion, skeleton)
-        if len(found.sources) * 2 < len(found.sources) + len(found.unused):
-            raise ShapeError(
-                f"only {len(found.sources)} of the {len(motion.joint_names)} joints of '{motion.name}' have a namesake in the "
-                "skeleton; takes of different skeletons cannot be compared (retarget one of them)"
-            )
-    a, b = match(first, skeleton), match(second, skeleton)
-    frames = min(a.frame_count, b.frame_count)
-    if frames == 0:
-        raise ShapeError("a motion has no frames")
-    sides = [
-        [np.asarray(x, np.float64)[:frames] for x in world_rotations_positions(skeleton, m.pose.broadcast())]
-        for m in (a, b)
-    ]
-    apart = np.linalg.norm(sides[0][1] - sides[1][1], axis=-1)
-    locals_ = [np.asarray(m.pose.broadcast().rotations, np.float64)[:frames] for m in (a, b)]
-    angle = np.degrees(quat.angle_between(*locals_))
-    p, q = sides[0][1], sides[1][1]
-    u, v = sides[0][0], sides[1][0]
-    v = np.where(np.sum(u * v, axis=-1, keepdims=True) < 0, -v, v)
-    return TakeDifference(
-        frames,
-        100.0 * float(apart.mean()),
-        100.0 * float(apart.max()),
-        float(angle.mean()),
-        float(angle.max()),
-        float(np.mean(np.sqrt(np.sum((p - q) ** 2, axis=(1, 2))))),
-        float(np.mean(np.sqrt(np.sum((u - v) ** 2, axis=(1, 2))))),
-    )

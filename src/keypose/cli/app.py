@@ -327,6 +327,83 @@ def edit(
     )
 
 
+class HipsChoice(StrEnum):
+    """What hips may do while feet are planted."""
+
+    free = "free"
+    upright = "upright"
+    still = "still"
+
+
+@app.command(
+    epilog=_examples(
+        "keypose clean walk.bvh walk-clean.bvh",
+        "keypose clean take.fbx clean.glb --ground slope --contacts contacts.csv",
+        "keypose clean 02_01.amc clean.mp4 [dim]# look at it at once[/dim]",
+        "keypose clean take.bvh clean.bvh --floor 0 [dim]# and put it on the floor[/dim]",
+    )
+)
+def clean(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    clip: ClipOption = None,
+    ground: Annotated[
+        str, typer.Option("--ground", help="auto, flat, slope, steps, or the height under the soles in metres.")
+    ] = "auto",
+    hips: Annotated[
+        HipsChoice, typer.Option("--hips", help="Whether hips may come along: free, upright (up and down), still.")
+    ] = HipsChoice.free,
+    pitch: Annotated[
+        bool,
+        typer.Option("--keep-pitch", help="Leave feet as they are pitched; else flat ones are laid on the ground."),
+    ] = False,
+    floor: Annotated[
+        float | None,
+        typer.Option("--floor", metavar="HEIGHT", help="Lift or lower it all onto a floor there, in metres."),
+    ] = None,
+    contacts: Annotated[
+        Path | None, typer.Option("--contacts", metavar="FILE", help="Write the contacts as .json or .csv.")
+    ] = None,
+    events: Annotated[
+        bool, typer.Option("--events", help="Write contacts as events of the motion: left_ball.down ...")
+    ] = False,
+    roles: Annotated[
+        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
+    ] = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Hold feet still where they touch the ground, without a jump of a knee; a second time it changes nothing."""
+    from keypose.cli.clean import clean_file
+
+    clean_file(
+        motion,
+        output,
+        clip=clip,
+        ground=ground,
+        hips=hips.value,
+        level_feet=not pitch,
+        floor_m=floor,
+        contacts=contacts,
+        events=events,
+        roles=roles,
+        rate_hz=rate,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        options=option or (),
+        quiet=quiet,
+    )
+
+
 @app.command(
     epilog=_examples(
         "keypose retarget walk.bvh --to hero.glb hero-walking.glb",

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from keypose.analysis.ground import GROUND_KINDS
 from keypose.editing import arcs as _arcs
 from keypose.editing import follow as _follow
 from keypose.editing import moves as _moves
+from keypose.editing import planting as _planting
 from keypose.editing import squash as _squash
 from keypose.editing import stopmotion as _stopmotion
+from keypose.editing.framed import edit_frames
 from keypose.editing.operator_types import Operated, Operator, Parameter, count_keys, number
-from keypose.editing.selection import Selection
-from keypose.model import Clip, Property, Skeleton
+from keypose.editing.reach import found_roles
+from keypose.editing.selection import Selection, chosen_channels
+from keypose.model import Clip, Motion, Property, Skeleton
 
 
 def _run_anticipate(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[str, Any]) -> Operated:
@@ -67,6 +73,29 @@ def _run_stop_motion(clip: Clip, skeleton: Skeleton, selection: Selection, p: Ma
         p["seed"],
     )
     return Operated(made, count_keys(clip, made))
+
+
+def _run_plant_feet(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[str, Any]) -> Operated:
+    if not chosen_channels(clip, selection):
+        return Operated(clip)
+    roles = found_roles(skeleton)
+    if not roles:
+        return Operated(clip, "no legs were found: nothing to plant")
+    options = _planting.PlantOptions(
+        p["height_m"], p["speed_m_s"], p["ground"], level_feet=p["level_feet"], hips=p["hips"]
+    )
+    said: list[str] = []
+
+    def change(motion: Motion) -> Motion:
+        done = _planting.plant_feet(motion, skeleton, roles, options=options)
+        share = float(np.mean(np.any(list(done.touching.values()), axis=0)))
+        said.append(
+            f"a foot stands in {share:.0%} of the frames; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
+            f"hips {100 * done.hips_m.max(initial=0.0):.1f} cm; ground: {done.footing.ground.describe()}"
+        )
+        return done.motion
+
+    return Operated(edit_frames(clip, skeleton, change), said[0])
 
 
 _AMOUNT_OF_MOVE = "As a share of the move."
@@ -175,5 +204,26 @@ MOTION_OPERATORS: tuple[Operator, ...] = (
         ),
         "channels",
         _run_stop_motion,
+    ),
+    Operator(
+        "plant_feet",
+        "Plant feet",
+        "Holds feet still where they touch the ground, without a jump of a knee; a second time it changes nothing.",
+        (
+            number("height_m", 0.03, 0.001, 0.3, "How low a foot is in contact, for a leg of 0.85 m.", "m"),
+            number("speed_m_s", 0.25, 0.01, 3.0, "How slow a foot is in contact, in metres a second."),
+            Parameter("ground", "choice", "auto", "What feet stand on.", "Ground", choices=GROUND_KINDS),
+            Parameter("level_feet", "boolean", True, "Lays feet flat on the ground.", "Level feet"),
+            Parameter(
+                "hips",
+                "choice",
+                "free",
+                "Whether hips may come along.",
+                "Hips",
+                choices=("free", "upright", "still"),
+            ),
+        ),
+        "channels",
+        _run_plant_feet,
     ),
 )

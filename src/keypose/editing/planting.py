@@ -25,6 +25,7 @@ from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
 Touching = Mapping[str, np.ndarray]
+HipsMode = Literal["free", "upright", "still"]
 
 _LEG_M = 0.85
 _ROUNDS = 24  # of planting and looking again; almost always two or three are enough
@@ -49,7 +50,7 @@ class PlantOptions:
     ground: Ground | GroundKind = "auto"
     blend_s: float = 0.2
     level_feet: bool = True
-    hips: Literal["free", "upright", "still"] = "free"
+    hips: HipsMode = "free"
 
     def __post_init__(self) -> None:
         if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0):
@@ -133,6 +134,24 @@ def plant_feet(
         footing = replace(footing, touching=more)
         result = before.planted(footing, options, heights)
     return result
+
+
+def put_on_floor(motion: Motion, skeleton: Skeleton, footing: Footing, height_m: float = 0.0) -> Motion:
+    """A motion lifted or lowered as a whole, so that what feet stand on is at a height.
+
+    Units: ``height_m`` of the balls of the feet where they stand (of ankles, if there are no toes). Ground that is not level has
+    that height under the first contact.
+    """
+    first = [(int(np.argmax(flags)), point) for point, flags in footing.touching.items() if flags.any()]
+    if not first:
+        return motion
+    frame, point = min(first)
+    place = footing.points[point][frame]
+    up = height_m - float(footing.ground.heights(place)) - float(np.mean(list(footing.stand_m.values())))
+    pose = motion.pose.broadcast()
+    translations = np.array(pose.translations)
+    translations[:, np.asarray(skeleton.parents) < 0, 1] += up
+    return replace(motion, pose=Pose(translations, pose.rotations, pose.scales))
 
 
 class _Body:

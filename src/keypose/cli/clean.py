@@ -1,0 +1,223 @@
+"""`keypose clean`: feet held still where they touch the ground, with the figures before and after, and the contacts as a table."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from keypose.cli.console import console, progress_bar
+from keypose.cli.convert import not_an_input
+from keypose.cli.inputs import open_input
+from keypose.errors import FormatError, KeyposeError, ShapeError
+from keypose.model import Character, Motion, Scene
+
+if TYPE_CHECKING:
+    from keypose.analysis.contacts import Footing
+    from keypose.analysis.ground import Ground, GroundKind
+    from keypose.analysis.quality import Quality
+    from keypose.editing.planting import HipsMode, PlantResult
+
+FILMS = (".png", ".gif", ".mp4", ".webm")
+SCHEMA = "keypose.contacts/1"
+
+
+def clean_file(
+    source: str,
+    output: Path,
+    *,
+    clip: str | None = None,
+    ground: str = "auto",
+    hips: str = "free",
+    level_feet: bool = True,
+    floor_m: float | None = None,
+    contacts: Path | None = None,
+    events: bool = False,
+    roles: Path | None = None,
+    rate_hz: float | None = None,
+    unit: str | None = None,
+    up: str | None = None,
+    skeleton: str | None = None,
+    options: Sequence[str] = (),
+    quiet: bool = False,
+) -> None:
+    """Plant the feet of a motion, write it with its character and print what changed.
+
+    ``ground``: a kind of `GROUND_KINDS`, or the ground's height under the feet in metres as text. ``floor_m``: the whole is lifted
+    or lowered so that its ground is there.
+
+    Raises:
+        FormatError: where the output's format cannot be written, or the input has no motion.
+        KeyposeError: where the skeleton has no legs.
+        ShapeError: where the ground is neither a kind nor a height.
+    """
+    from keypose import io
+    from keypose.analysis.contacts import contact_events
+    from keypose.analysis.quality import measure_quality
+    from keypose.editing.planting import PlantOptions, plant_feet, put_on_floor
+    from keypose.io.registry import format_of_suffix, unknown_format
+
+    film = output.suffix.lower() in FILMS
+    chosen = format_of_suffix(output)
+    if not film and (chosen is None or not chosen.write):  # told before anything is read
+        raise unknown_format(output, writing=True)
+    if contacts is not None and contacts.suffix.lower() not in (".json", ".csv"):
+        raise FormatError("expected a .json or a .csv for contacts", path=contacts)
+    not_an_input(output, [source])
+    scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
+    motion = _motion(scene, source, clip, rate_hz)
+    character = scene.character
+    body = character.skeleton
+    known = _roles(roles, character)
+    asked = PlantOptions(ground=_ground(ground, character, known), level_feet=level_feet, hips=cast("HipsMode", hips))
+    done = plant_feet(motion, body, known, options=asked)
+    made = done.motion
+    if floor_m is not None:
+        made = put_on_floor(made, body, done.footing, floor_m + _sole_m(character, known))
+    if events:
+        added = contact_events(done.footing, made.start_s)
+        made = replace(made, events=tuple(sorted((*made.events, *added), key=lambda e: e.time_s)))
+    made = replace(made, name=motion.name or Path(source).stem)
+    cleaned = Scene((character,), (made,), unit_m=scene.unit_m)
+    if film:
+        from keypose.render import RenderSettings, render_file
+
+        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
+            notes = render_file(cleaned, output, settings=RenderSettings(), progress=progress)
+    else:
+        notes = io.save(cleaned, output)
+    if contacts is not None:
+        write_contacts(contacts, source, made, done.footing)
+    if quiet:
+        return
+    before, after = (
+        measure_quality(m, body, known, touching=done.touching, ground=done.footing.ground)
+        for m in (motion, done.motion)
+    )
+    _print(output, made, done, before, after, tuple(notes or ()))
+
+
+def write_contacts(path: Path, source: str, motion: Motion, footing: Footing) -> None:
+    """Write contacts as JSON or CSV, one a row: point, first and last frame, times in seconds, place in metres."""
+    from keypose.analysis.contacts import contact_spans
+    from keypose.io.atomic import replacing
+
+    rows = [asdict(span) for span in contact_spans(footing, motion.start_s)]
+    with replacing(path) as fresh:
+        if path.suffix.lower() == ".json":
+            facts = {
+                "schema": SCHEMA,
+                "file": source,
+                "motion": motion.name,
+                "rate_hz": motion.rate_hz,
+                "frames": motion.frame_count,
+                "ground": footing.ground.describe(),
+                "contacts": rows,
+            }
+            fresh.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+            return
+        with fresh.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(["point", "first", "last", "start_s", "end_s", "x_m", "y_m", "z_m"])
+            for row in rows:
+                place = [f"{v:.6f}" for v in row.pop("place")]
+                table.writerow([*(f"{v:.6f}" if isinstance(v, float) else v for v in row.values()), *place])
+
+
+def _motion(scene: Scene, source: str, clip: str | None, rate_hz: float | None) -> Motion:
+    from keypose.evaluate import bake, key_rate, match, resample
+
+    if not scene.characters or not scene.animations:
+        raise FormatError("it has no motion of a skeleton", path=source)
+    animation = scene.animations[0] if clip is None else scene.animation(clip)
+    body = scene.character.skeleton
+    if not isinstance(animation, Motion):
+        return bake(animation, body, rate_hz or animation.rate_hz or key_rate(animation) or 30.0)
+    motion = match(animation, body)
+    return motion if rate_hz is None else resample(motion, rate_hz)
+
+
+def _roles(path: Path | None, character: Character) -> Mapping[str, int]:
+    from keypose.analysis import find_roles, roles_from_json
+
+    if path is not None:
+        try:
+            return roles_from_json(path.read_text(encoding="utf-8"), character.skeleton).roles
+        except OSError as error:
+            raise FormatError(error.strerror or str(error), path=path) from None
+    found = find_roles(character.skeleton, known=character.roles or None)
+    if found.on_all_fours:
+        raise KeyposeError("feet cannot be planted: it stands on four feet; give its hind legs as a map of roles")
+    return found.roles
+
+
+def _ground(text: str, character: Character, roles: Mapping[str, int]) -> Ground | GroundKind:
+    """A kind of ground, or a known one: level, at a height under the soles."""
+    from keypose.analysis.ground import GROUND_KINDS, Ground
+
+    if text in GROUND_KINDS:
+        return text
+    try:
+        height = float(text)
+    except ValueError:
+        height = np.nan
+    if not np.isfinite(height):
+        raise ShapeError(f"ground: expected {', '.join(GROUND_KINDS)} or a height in metres, got '{text}'")
+    return Ground(height + _sole_m(character, roles))
+
+
+def _sole_m(character: Character, roles: Mapping[str, int]) -> float:
+    """How high balls of the feet (ankles, without toes) are over what the character stands on at rest."""
+    from keypose.evaluate import world_rotations_positions
+    from keypose.retarget import ground_under
+
+    skeleton = character.skeleton
+    places = np.asarray(world_rotations_positions(skeleton, skeleton.rest)[1], np.float64)
+    lowest = ground_under(character)
+    lowest = float(places[:, 1].min()) if lowest is None else lowest
+    joints = [roles.get(f"{side}_toes", roles[f"{side}_foot"]) for side in ("left", "right")]
+    return max(0.0, float(places[joints, 1].mean()) - lowest)
+
+
+def _print(
+    output: Path, motion: Motion, done: PlantResult, before: Quality, after: Quality, notes: Sequence[Any]
+) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    out = console()
+    out.print(
+        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
+        f"{motion.frame_count:,} frames at {motion.rate_hz:g} Hz)[/dim]"
+    )
+    for note in notes:
+        out.print(f"  [yellow]note[/yellow] {escape(str(note))}")
+    if not done.moved_m.any():
+        out.print("  feet stand still already: nothing was changed")
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="dim")
+    for title in ("", "before", "after"):
+        table.add_column(title, justify="left" if not title else "right")
+    for title, name, unit in (
+        ("feet in contact slide, mean", "skate_cm_s", "cm/s"),
+        ("at most", "worst_skate_cm_s", "cm/s"),
+        ("feet sink, at most", "sink_cm", "cm"),
+    ):
+        cells = [getattr(q, name) for q in (before, after)]
+        table.add_row(title, *("-" if v is None else f"{v:.2f} {unit}" for v in cells))
+    table.add_row("knees accelerate, at most", "1", f"{done.knee_ratio:.2f} times")
+    out.print(table)
+    count = sum(
+        len(np.flatnonzero(np.diff(np.concatenate([[False], f]).astype(np.int8)) == 1)) for f in done.touching.values()
+    )
+    out.print(
+        f"  {count} contacts of heels and balls; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
+        f"hips {100 * done.hips_m.max(initial=0.0):.1f} cm"
+    )
+    out.print(f"  ground: {escape(done.footing.ground.describe())}")
+    if not done.settled:
+        out.print("  [yellow]note[/yellow] contacts did not settle: planting again will change something")
