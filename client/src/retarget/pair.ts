@@ -145,13 +145,19 @@ export class Pair {
     return actor.toStage(root).setY(0);
   }
 
+  /** How high a character reaches in what it performs. */
+  private tall(side: SideName): number {
+    const { min, max } = this.actor(side)!.bounds;
+    return Math.max(1e-6, max.y - min.y);
+  }
+
   /** The camera of the side that was turned last, seen from its character, is the other side's too. */
   private link(side: SideName): void {
     if (!this.look.linked || side !== this.driver || this.picking !== null) return;
     const other = this.other(side), from = this.views[side], to = this.views[other];
     const a = this.anchor(side, this.a), b = this.anchor(other, this.b);
     if (!a || !b) return;
-    const ratio = this.actor(other)!.height / this.actor(side)!.height;
+    const ratio = this.tall(other) / this.tall(side);
     const place = (out: THREE.Vector3, at: THREE.Vector3) => {
       this.offset.copy(at).sub(a).multiplyScalar(ratio).add(b);
       const moved = out.distanceToSquared(this.offset) > 1e-12;

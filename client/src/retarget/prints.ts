@@ -88,7 +88,6 @@ export class Prints {
     const pose = new Pose(actor.rig.count, actor.morphNames.length), world = new Float64Array(12 * actor.rig.count);
     const back = new THREE.Vector3(), tip = new THREE.Vector3(), place = new THREE.Vector3(), scale = new THREE.Vector3();
     const turn = new THREE.Quaternion(), up = new THREE.Vector3(0, 1, 0);
-    const length = 0.15 * actor.height;
     const found: { print: Print; matrix: THREE.Matrix4 }[] = [];
     for (const { side, joints, steps, slides } of feet) {
       const [ankle, ball] = joints.map((joint) => actor.rig.index(joint));
@@ -99,6 +98,7 @@ export class Prints {
         actor.evaluate(start + Math.round((first + last) / 2) / rate, pose, world);
         actor.jointPosition(ankle, back, world);
         actor.jointPosition(ball, tip, world);
+        const length = ball === ankle ? 0.12 * actor.height : 2.05 * back.distanceTo(tip);
         const o = 12 * ankle;
         const yaw = ball === ankle ? Math.atan2(world[o + 6], world[o + 8]) : Math.atan2(tip.x - back.x, tip.z - back.z);
         // a print reaches from behind the ankle to before the ball

@@ -138,10 +138,22 @@ export class Retarget extends Player {
     });
     const files = studio.files.filter((file) => file.actors.length > 0);
     const moving = files.filter((file) => file.animations.length > 0);
-    const source = moving.find((file) => !file.hasMesh) ?? moving.find((file) => files.length === 1 || file !== files.findLast((f) => f.hasMesh)) ?? null;
-    const target = files.findLast((file) => file.hasMesh && file !== source) ?? null;
+    const source = moving.find((file) => !file.hasMesh) ?? (files.length === 1 ? moving[0] : undefined) ?? moving.find((file) => files.some((other) => other !== file && other.hasMesh));
     void this.choose("source", source?.id ?? "sample:walk");
-    void this.choose("target", target?.id ?? "sample:human");
+    void this.findTarget(files.filter((file) => file.hasMesh && file !== source));
+  }
+
+  /** The first of these that is a person, else the first; the built-in one where there are none. */
+  private async findTarget(files: readonly OpenFile[]): Promise<void> {
+    const turn = this.turns.target;
+    let found = files[0]?.id ?? "sample:human";
+    for (const { id } of files.length > 1 ? files : []) {
+      const told = await this.ask<RetargetSubject>({ type: "retarget_subject", scene: id });
+      if (!told.characters.some((one) => one.missing.length === 0 && !one.all_fours)) continue;
+      found = id;
+      break;
+    }
+    if (turn === this.turns.target) await this.choose("target", found);
   }
 
   // ---- subjects ----------------------------------------------------------------------------------------------------
@@ -232,7 +244,7 @@ export class Retarget extends Player {
       this.maps = { ...this.maps, [side]: null };
       this.history.clear();
       this.role = null;
-      this.followChosen = false;
+      if (side === "source") this.followChosen = false;
     }
     if (side === "source") {
       this.options.sourceReference = this.options.sourceReference === "time" ? "auto" : this.options.sourceReference;
@@ -244,7 +256,13 @@ export class Retarget extends Player {
     this.error = "";
     this.fitted[side] = same ? this.fitted[side] : "gone";
     this.perform();
-    if (!same) this.pair?.show(side, this.actor(side));
+    const actor = this.actor("source");
+    if (side === "source" && actor && !this.followChosen) this.look.follow = actor.travel() > 0.6 * actor.height;
+    if (!same) {
+      this.atRest = this.side === side ? this.standsAtRest(side) : this.atRest;
+      this.applyLook();
+      this.pair?.show(side, this.actor(side));
+    }
     this.request(true);
   }
 
@@ -371,12 +389,9 @@ export class Retarget extends Player {
     this.error = "";
     this.result = animation;
     this.perform();
-    const actor = this.actor("source")!;
     const pairName = `${this.subjects.source!.file.id} ${this.subjects.source!.animation} ${this.subjects.target!.file.id}`;
     if (this.framed === pairName) return;
     this.framed = pairName;
-    if (!this.followChosen) this.look.follow = actor.travel() > 0.6 * actor.height;
-    this.applyLook();
     this.pair?.frame("three-quarter", true);
     if (!this.playing && !matchMedia("(prefers-reduced-motion: reduce)").matches && studio.page === "retarget") this.play();
   }
@@ -435,7 +450,29 @@ export class Retarget extends Player {
     this.side = side;
     this.role = this.hoveredRole = null;
     this.hoveredJoint = -1;
+    this.atRest = this.standsAtRest(side);
     this.showPicking();
+  }
+
+  /** Whether it stands in its rest pose; some files keep one that is folded or upside down, which shows nothing. */
+  private standsAtRest(side: SideName): boolean {
+    const rig = this.actor(side)?.rig, table = this.table(side);
+    if (!rig || this.found(side)?.all_fours) return true;
+    const world = new Float64Array(12 * rig.count);
+    rig.solve(rig.rest, world);
+    return [["hips", "head"], ["left_foot", "left_upper_leg"], ["right_foot", "right_upper_leg"]].every(([low, high]) => {
+      if (table[low] === undefined || table[high] === undefined) return true;
+      const [from, to] = [table[low], table[high]].map((name) => 12 * rig.index(name) + 9);
+      const [x, y, z] = [0, 1, 2].map((axis) => world[to + axis] - world[from + axis]);
+      return y > 0.6 * Math.hypot(x, y, z);
+    });
+  }
+
+  /** To the roles of the body whose joints cannot all be told. */
+  nameJoints(): void {
+    this.panel = true;
+    this.tab = "roles";
+    this.pick(SIDES.find((side) => this.missing(side).length > 0 || this.found(side)?.all_fours) ?? this.side);
   }
 
   /** Bring the stages in line with whether roles are chosen, and whose. */

@@ -72,6 +72,14 @@ export function spotOf(role: string): Spot {
 /** Roles of a humanoid, and joints of further chains such as tail:1. */
 export const isRole = (name: string): boolean => PLACES.has(name) || /^[a-z_]+:\d+$/.test(name);
 
+/** What most names begin with, up to a separator: "mixamorig:", "CC_Base_". */
+export function commonPrefix(names: readonly string[]): string {
+  const counts = new Map<string, number>();
+  for (const name of names) for (const { index } of name.matchAll(/[:_|.]/g)) counts.set(name.slice(0, index + 1), (counts.get(name.slice(0, index + 1)) ?? 0) + 1);
+  const shared = [...counts].filter(([prefix, count]) => prefix.length > 2 && count >= 0.7 * names.length).map(([prefix]) => prefix);
+  return shared.reduce((longest, prefix) => (prefix.length > longest.length ? prefix : longest), "");
+}
+
 /** "left_index_proximal" as "Left index, proximal". */
 export function labelOf(role: string): string {
   const words = role.split("_"), finger = FINGERS.findIndex((f) => words.includes(f));
