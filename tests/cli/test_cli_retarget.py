@@ -81,3 +81,39 @@ def test_what_cannot_be_told_or_kept_is_refused(data_dir: Path, tmp_path: Path) 
     bvh, amc = data_dir / "cmu_01_01/01_01.bvh", data_dir / "cmu_01_01/01_01.amc"
     assert "namesake" in refused(keypose("check", bvh, "--against", amc))
     assert not out.exists()
+
+
+@pytest.mark.data
+def test_somebody_elses_result_beside_it(data_dir: Path, tmp_path: Path) -> None:
+    rig, spread = (data_dir / f"bvh/cmu_iclone_{name}.bvh" for name in ("002/002_04", "007/007_05"))
+    args = ("retarget", data_dir / "asf_amc/cmu_02/02_04.amc", "--to", rig, tmp_path / "out.bvh")
+    done = keypose(*args, "--against", rig, "--target-reference", f"{spread}:0")
+    assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    assert "bone directions beside the reference:" in said and "arms 0.4" in said and "trunk 0.0" in said
+    assert "turned by -60.3 degrees and shifted by 8.3 ms" in said
+
+
+def test_reference_frames_and_props_are_checked(tmp_path: Path) -> None:
+    args = ("retarget", "sample:walk", "--to", "sample:human", tmp_path / "out.glb")
+    done = keypose(*args, "--source-reference", 3, "--keep-hands", "--prop", "0,1,0.3:0,1.1,0.3")
+    assert done.returncode == 0, done.stderr
+    assert "hands beside body or props" in done.stdout
+    assert "expected 0 to" in refused(keypose(*args, "--source-reference", 9999))
+    assert "FILE:FRAME" in refused(keypose(*args, "--source-reference", "first"))
+    assert "x,y,z" in refused(keypose(*args, "--prop", "1,2"))
+    assert not list(tmp_path.glob("*.tmp*"))
+
+
+@pytest.mark.data
+def test_an_animal_by_maps(data_dir: Path, tmp_path: Path) -> None:
+    fox = data_dir / "gltf/khronos/Fox.glb"
+    found = keypose("roles", fox, tmp_path / "fox.json")
+    assert found.returncode == 1 and "quadruped" in found.stdout  # no human, but its roles are written
+    roles = json.loads((tmp_path / "fox.json").read_text()) | {f"tail:{n}": f"b_Tail0{n}_01{n + 1}" for n in (1, 2, 3)}
+    (tmp_path / "fox.json").write_text(json.dumps(roles))
+    args = ("retarget", fox, "--to", fox, tmp_path / "out.glb", "--clip", "Run")
+    assert "four feet" in refused(keypose(*args))
+    done = keypose(*args, "--from-roles", tmp_path / "fox.json", "--to-roles", tmp_path / "fox.json")
+    assert done.returncode == 0, done.stderr
+    assert "bone directions: 0.0" in done.stdout
