@@ -34,7 +34,7 @@ const ASIDE: Record<(typeof LIMBS)[number], [number, number]> = {
 };
 // the hand is drawn larger than life, or its fifteen joints could not be hit
 const FAN: Record<(typeof FINGERS)[number], { turn: number; at: [number, number, number] }> = {
-  thumb: { turn: -62, at: [17, 32, 46] },
+  thumb: { turn: -70, at: [21, 35, 48] },
   index: { turn: -27, at: [30, 46, 60] },
   middle: { turn: -5, at: [32, 50, 66] },
   ring: { turn: 15, at: [31, 47, 62] },
