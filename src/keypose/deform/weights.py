@@ -14,6 +14,7 @@ from keypose.deform.weights_bound import bound_pose
 from keypose.deform.weights_heat import sources_of, spread
 from keypose.deform.weights_nearest import nearest_on
 from keypose.deform.weights_pieces import Pieces, sort_pieces
+from keypose.deform.weights_sight import sight_of
 from keypose.deform.weights_solid import Solid, solid_of
 from keypose.deform.weights_surface import Surface, weld
 from keypose.errors import ShapeError, UnknownName
@@ -245,7 +246,7 @@ def _weigh(
     weights = np.zeros((len(surface.points), skeleton.joint_count))
     bent, before, lost = 0, 1, 0.0
     if len(mine):
-        sources = sources_of(surface.points[mine], surface.size_m, bones, skeleton.joint_count, solid, strength)
+        sources = sources_of(sight_of(surface, solid), mine, bones, skeleton.joint_count, strength)
         reached = np.bincount(surface.shell_of[mine], sources.heat > 0, minlength=surface.shell_count) > 0
         cold = [s for s in pieces.heated if not reached[s]]
         warm = reached[surface.shell_of[mine]]

@@ -13,7 +13,8 @@ import numpy as np
 
 from keypose.arrays import Floats, Ints
 from keypose.deform.weights_bones import Bones
-from keypose.deform.weights_solid import Solid, bent_ways
+from keypose.deform.weights_sight import Sight
+from keypose.deform.weights_solid import bent_ways
 from keypose.deform.weights_surface import Surface, laplacian
 
 _CANDIDATES = 8  # nearest bones that are looked at
@@ -45,13 +46,14 @@ class Sources:
         return Sources(self.heat[flags], self.shares[flags], self.seen[flags], self.bent[flags])
 
 
-def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, solid: Solid, strength: float) -> Sources:
-    """The nearest visible bones of points (P, 3); where none is visible, the one nearest through the body.
+def sources_of(sight: Sight, used: Ints, bones: Bones, joint_count: int, strength: float) -> Sources:
+    """The nearest visible bones of the points ``used`` (P,); where none is visible, the one nearest through the body.
 
     Bones of thick limbs count as nearer: the side of the trunk belongs to the spine, though the arm is beside it.
     """
     from scipy.sparse import coo_array
 
+    solid, size_m, points = sight.solid, sight.surface.size_m, sight.surface.points[used]
     count = len(points)
     few = min(_CANDIDATES, bones.count)
     nearest = np.full((count, few), np.inf)
@@ -77,8 +79,8 @@ def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, so
             pending = pending[(here[pending, k] <= best * _NEARLY)]
             if not len(pending):
                 break
-            sight = _seen(points[part][pending], goals[pending, k], middles[order[pending, k]], solid)
-            nearest[begin + pending, k] = np.where(sight, here[pending, k], np.inf)
+            found = _seen(sight, used[part][pending], goals[pending, k], middles[order[pending, k]])
+            nearest[begin + pending, k] = np.where(found, here[pending, k], np.inf)
         which[part] = order
     best = nearest.min(axis=1)
     seen = np.isfinite(best)
@@ -108,19 +110,19 @@ def sources_of(points: Floats, size_m: float, bones: Bones, joint_count: int, so
     return Sources(heat, shares, seen, bent)
 
 
-def _seen(points: Floats, goals: Floats, middles: Floats, solid: Solid) -> Any:
+def _seen(sight: Sight, points: Ints, goals: Floats, middles: Floats) -> Any:
     """Whether the nearest places on bones are in straight sight, or places as far again towards the bones' middles.
 
     At the end of a limb, straight across is along the surface.
     """
-    sight = solid.straight(points, goals)
-    left = np.nonzero(~sight)[0]
+    found = sight.sees(points, goals)
+    left = np.nonzero(~found)[0]
     inward = middles[left] - goals[left]
     lengths = np.linalg.norm(inward, axis=1)
-    ways = np.minimum(lengths, np.linalg.norm(goals[left] - points[left], axis=1))
+    ways = np.minimum(lengths, np.linalg.norm(goals[left] - sight.surface.points[points[left]], axis=1))
     further = goals[left] + inward * (ways / np.maximum(lengths, 1e-30))[:, None]
-    sight[left] = solid.straight(points[left], further)
-    return sight
+    found[left] = sight.sees(points[left], further)
+    return found
 
 
 def spread(surface: Surface, triangles: Ints, used: Ints, sources: Sources, progress: Any = None) -> Floats:

@@ -44,18 +44,6 @@ class Solid:
         cells = self.cells(points)
         return self.filled[cells[..., 0], cells[..., 1], cells[..., 2]]
 
-    def straight(self, starts: Floats, ends: Floats) -> Any:
-        """Whether the straight ways from starts to ends (N, 3) stay in filled voxels."""
-        longest = float(np.linalg.norm(ends - starts, axis=1).max(initial=0.0))
-        steps = max(int(np.ceil(longest / (self.voxel_m * _STEP))), 2)
-        shares = np.linspace(0.0, 1.0, steps + 1)
-        out = np.ones(len(starts), bool)
-        rows = max(_CHUNK // len(shares), 1)
-        for begin in range(0, len(starts), rows):
-            a, b = starts[begin : begin + rows, None], ends[begin : begin + rows, None]
-            out[begin : begin + rows] = self.holds(a + (b - a) * shares[:, None]).all(axis=1)
-        return out
-
     def reach(self, starts: Floats, directions: Floats, longest: float) -> Floats:
         """How far one can go from places (..., 3) along unit directions (..., 3) in filled voxels, (...) metres."""
         steps = np.arange(0.0, longest + self.voxel_m, self.voxel_m * _STEP)
@@ -100,7 +88,9 @@ def solid_of(surface: Surface, voxels: int) -> Solid:
     shape = np.ceil(extent / edge).astype(int) + 5
     wall = np.zeros(shape, bool)
     solid = Solid(wall, low, edge)
-    for points in (surface.points, *_samples(surface, edge * 0.5)):
+    loose = solid.cells(surface.points)
+    wall[loose[:, 0], loose[:, 1], loose[:, 2]] = True
+    for points in _samples(surface, edge * 0.5):
         cells = solid.cells(points)
         wall[cells[:, 0], cells[:, 1], cells[:, 2]] = True
     filled = _filled(wall)
@@ -115,8 +105,6 @@ def _samples(surface: Surface, spacing: float) -> Any:
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
     parts = np.maximum(np.ceil(sides / spacing).astype(int), 1)
     for count in np.unique(parts):
-        if count == 1:
-            continue  # its corners are enough
         i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
         use = i + j <= count
         shares = np.stack([i[use], j[use], count - i[use] - j[use]], axis=1) / count
