@@ -89,15 +89,15 @@ def faces() -> None:
 
 
 @contextmanager
-def studio_page(*, graph: bool, theme: str) -> Generator[Any]:
-    """The studio on the built-in human or graph, in a browser without a window."""
+def studio_page(*, graph: bool, theme: str, opened: tuple[tuple[str, Scene], ...] | None = None) -> Generator[Any]:
+    """The studio on the built-in human or graph, or on other scenes, in a browser without a window."""
     from playwright.sync_api import sync_playwright
 
     from keypose.studio import StudioServer
     from keypose.studio.graphs import built_in
 
     listening = threading.Event()
-    scenes = () if graph else (("sample:human", samples.load("human")),)
+    scenes = opened if opened is not None else () if graph else (("sample:human", samples.load("human")),)
     graphs = (built_in("locomotion"),) if graph else ()
     server = StudioServer(scenes, graphs=graphs, ready=lambda _: listening.set())
     thread = threading.Thread(target=server.run, daemon=True)
