@@ -299,7 +299,7 @@ def _softened(distance: Floats, reach: Floats, soft: Floats) -> Floats:
 
 
 def _norm(v: Floats) -> Floats:
-    return np.sqrt(np.sum(v * v, axis=-1))
+    return np.sqrt(np.vecdot(v, v))
 
 
 # ---- the way back ------------------------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ def wanted_limb(state: State, module: LimbModule) -> dict[int, Floats]:
         direction = unit(vector)
         now = across(moved(rotation(joint), limb.normals[n]), direction, plane)
         untwisted = across(plane, direction, now)
-        angle = np.arctan2(np.sum(cross(untwisted, now) * direction, axis=-1), np.sum(untwisted * now, axis=-1))
+        angle = np.arctan2(np.sum(cross(untwisted, now) * direction, axis=-1), np.vecdot(untwisted, now))
         # of one turn and the same turn by a whole round, the one nearest to the frame before
         state.values[module.attribute(("twist", "lower_twist")[n])] = np.unwrap(angle) if angle.ndim else angle
     for name in ("stretch", "soft", "rest_bend"):

@@ -120,8 +120,8 @@ def _move_spine(state: State, module: SpineModule) -> None:
         now = bent[-1][..., :3, 3] - start
         need = wish - start
         swing = turn_between(now, need)
-        reach = np.sqrt(np.sum(now * now, axis=-1))
-        ratio = np.sqrt(np.sum(need * need, axis=-1)) / np.where(reach == 0, 1.0, reach)
+        reach = np.sqrt(np.vecdot(now, now))
+        ratio = np.sqrt(np.vecdot(need, need)) / np.where(reach == 0, 1.0, reach)
         grow = 1.0 + np.clip(state.value(module.attribute("stretch")), 0.0, 1.0) * (ratio - 1.0)
         for n, joint_frame in enumerate(bent):
             where = start + moved(swing, joint_frame[..., :3, 3] - start) * grow[..., None]
@@ -181,7 +181,7 @@ def _aimed(state: State, joint: int, target: Floats, control: int) -> Floats:
 def turn_between(now: Floats, wish: Floats) -> Floats:
     """The shortest rotation (N, 3, 3) from one direction to another; none where either has no length."""
     a, b = np.broadcast_arrays(unit(now), unit(wish))
-    c = np.sum(a * b, axis=-1)
+    c = np.vecdot(a, b)
     axis = np.cross(a, b)
     # (1 + c) vanishes for opposite directions: those turn by half a turn about any axis across
     opposite = c < -1.0 + 1e-12
@@ -194,7 +194,7 @@ def turn_between(now: Floats, wish: Floats) -> Floats:
         other = np.eye(3)[np.argmin(np.abs(a), axis=-1)]
         half = unit(np.cross(a, other))
         turn = np.where(opposite[..., None, None], spin(half, np.full(c.shape, np.pi)), turn)
-    still = (np.sum(a * a, axis=-1) == 0) | (np.sum(b * b, axis=-1) == 0)
+    still = (np.vecdot(a, a) == 0) | (np.vecdot(b, b) == 0)
     return np.where(still[..., None, None], np.eye(3), turn)
 
 
@@ -220,9 +220,8 @@ def _move_fingers(state: State, module: FingersModule) -> None:
                 if curled:
                     turn = turn @ _about_axis(0, amount * finger.bends[n])
                 # values bend the finger before its control does, so that a key goes on from there
-                local_rest = inverse(plan.parent_rest[control]) @ plan.control_rest[control]
-                bent = frame_now @ local_rest @ frame(turn, np.zeros(3))
-                frame_used = bent @ inverse(local_rest)
+                local_rest = plan.local_rest[control]
+                frame_used = frame_now @ local_rest @ frame(turn, np.zeros(3)) @ inverse(local_rest)
             else:
                 frame_used = frame_now
             world = frame_used @ rest

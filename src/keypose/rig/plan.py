@@ -71,7 +71,7 @@ class Plan:
     """A rig on a skeleton.
 
     Shapes: ``rest`` (J, 4, 4) and ``control_rest`` (N, 4, 4): model-from at rest, with their inverses; ``parent_rest`` (N, 4, 4)
-    of what controls hang on in the hierarchy.
+    of what controls hang on in the hierarchy, ``local_rest`` (N, 4, 4) of the controls in that.
     """
 
     rig: Rig
@@ -82,6 +82,7 @@ class Plan:
     control_rest: Floats
     control_rest_inverse: Floats
     parent_rest: Floats
+    local_rest: Floats
     carriers: tuple[tuple[Carrier, ...], ...]
     order: tuple[tuple[str, int], ...]
     owned: frozenset[int]
@@ -197,6 +198,7 @@ class _Planner:
             self.control_rest,
             control_inverse,
             parent_rest,
+            frames_of(self.rig.controls.rest, 1)[:, 0],
             tuple(carriers),
             order,
             frozenset(self.owner),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -137,13 +137,28 @@ def run(state: State) -> None:
 def finish(state: State, batch: tuple[int, ...], base: Pose) -> tuple[Pose, dict[str, Floats]]:
     """The local pose of the joints, after constraints on joints and drivers that read them; and all values."""
     plan = state.plan
-    local: dict[int, Floats] = {j: inverse(state.above(j)) @ state.joint(j) for j in plan.moved}
+    joints = plan.moved
+    local = np.zeros((0, state.count, 4, 4))
+    if joints:
+        local = inverse(_stacked(state, [state.above(j) for j in joints])) @ _stacked(
+            state, [state.joint(j) for j in joints]
+        )
     if plan.joint_constraints or plan.late_drivers:
-        local = _held(state, local)
-    return _pose(state, local, batch, base), state.values
+        held = _held(state, dict(zip(joints, local, strict=True)))
+        joints = tuple(sorted(held))
+        local = _stacked(state, [held[j] for j in joints])
+    return _pose(state, joints, local, batch, base), state.values
 
 
-def _held(state: State, local: dict[int, Floats]) -> dict[int, Floats]:
+def _stacked(state: State, frames: Sequence[Floats]) -> Floats:
+    """Frames as one array (M, N, 4, 4)."""
+    result = np.empty((len(frames), state.count, 4, 4))
+    for n, each in enumerate(frames):
+        result[n] = each
+    return result
+
+
+def _held(state: State, local: Mapping[int, Floats]) -> dict[int, Floats]:
     """Local frames after constraints on joints, what hangs on them following, and after late drivers."""
     plan = state.plan
     changed: dict[int, Floats] = dict(local)
@@ -162,10 +177,10 @@ def _held(state: State, local: dict[int, Floats]) -> dict[int, Floats]:
     return changed
 
 
-def _pose(state: State, local: Mapping[int, Floats], batch: tuple[int, ...], base: Pose) -> Pose:
-    """The base pose with other local frames for some joints."""
-    count, joints = state.count, sorted(local)
-    if not joints:
+def _pose(state: State, joints: tuple[int, ...], local: Floats, batch: tuple[int, ...], base: Pose) -> Pose:
+    """The base pose with other local frames (M, N, 4, 4) for M joints."""
+    count, index = state.count, list(joints)
+    if not index:
         return base
     dtype = np.result_type(base.rotations, base.translations)
     full = _batched(base, batch)
@@ -173,20 +188,20 @@ def _pose(state: State, local: Mapping[int, Floats], batch: tuple[int, ...], bas
         np.array(np.broadcast_to(a, (*batch, *a.shape[-2:])).reshape(count, *a.shape[-2:]), np.float64)
         for a in (full.translations, full.rotations, full.scales)
     ]
-    frames = np.stack([np.broadcast_to(local[j], (count, 4, 4)) for j in joints], axis=1)
-    before = np.stack([np.broadcast_to(state.base[j], (count, 4, 4)) for j in joints], axis=1)
+    frames = np.swapaxes(local, 0, 1)
+    before = np.swapaxes(_stacked(state, [state.base[j] for j in index]), 0, 1)
     # what differs from the base pose by rounding alone is the base pose, bit for bit
     same = np.abs(frames - before).max(axis=(-2, -1)) < _SAME
     size = lengths(frames[..., :3, :3])
-    known = arrays[2][:, joints]
+    known = arrays[2][:, index]
     size = np.where(np.abs(size - np.abs(known)) < _SAME * np.maximum(1.0, np.abs(known)), np.abs(known), size)
     # a joint that is mirrored at rest stays mirrored along the same axes
     signs = np.where(known < 0, -1.0, 1.0)
     turned = to_quat(rotation(frames) * signs[..., None, :])
-    towards = np.sum(turned * arrays[1][:, joints], axis=-1, keepdims=True)
+    towards = np.sum(turned * arrays[1][:, index], axis=-1, keepdims=True)
     found = (frames[..., :3, 3], np.where(towards < 0, -turned, turned), size * signs)
     for array, values in zip(arrays, found, strict=True):
-        array[:, joints] = np.where(same[..., None], array[:, joints], values)
+        array[:, index] = np.where(same[..., None], array[:, index], values)
     t, r, s = (a.reshape(*batch, *a.shape[1:]).astype(dtype) for a in arrays)
     return Pose(t, r, s)
 
