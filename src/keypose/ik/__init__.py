@@ -2,6 +2,8 @@
 
 from keypose.ik.aim import AimChainResult, AimResult, aim_chain, aim_joint
 from keypose.ik.chains import ChainResult, chain_between, solve_ccd, solve_fabrik
+from keypose.ik.fullbody import OUTCOMES, IkResult, SolveOptions, TaskResidual, solve_pose
+from keypose.ik.fullbody_problem import RootMotion, RootPolicy
 from keypose.ik.limb import LimbResult, LimbTurns, limb_rotations, rotation_between_frames, solve_limb, solve_limbs
 from keypose.ik.limits import (
     Cone,
@@ -14,18 +16,44 @@ from keypose.ik.limits import (
     find_limit_breaks,
     limit_violation,
 )
+from keypose.ik.tasks import (
+    CenterOfMassTask,
+    ContactTask,
+    LookAtTask,
+    OrientationTask,
+    PosePrior,
+    PositionTask,
+    RelativeTask,
+    Smoothness,
+    Task,
+)
 
 __all__ = [
+    "OUTCOMES",
     "AimChainResult",
     "AimResult",
+    "CenterOfMassTask",
     "ChainResult",
     "Cone",
+    "ContactTask",
     "EulerRange",
     "Hinge",
+    "IkResult",
     "JointLimit",
     "LimbResult",
     "LimbTurns",
     "LimitBreak",
+    "LookAtTask",
+    "OrientationTask",
+    "PosePrior",
+    "PositionTask",
+    "RelativeTask",
+    "RootMotion",
+    "RootPolicy",
+    "Smoothness",
+    "SolveOptions",
+    "Task",
+    "TaskResidual",
     "aim_chain",
     "aim_joint",
     "chain_between",
@@ -39,4 +67,5 @@ __all__ = [
     "solve_fabrik",
     "solve_limb",
     "solve_limbs",
+    "solve_pose",
 ]

@@ -1,0 +1,440 @@
+"""The full-body solver in NumPy: Jacobians written out, any task; what the compiled solver is held to.
+
+All turns are small rotation vectors in the model's axes. A task of one joint's body is a few rows over the body's six
+motions, turning and moving at the joint's place; its Jacobian for a joint above is that of a rigid body turned about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from keypose.arrays import Floats, Ints
+from keypose.ik.fullbody_limits import FREE, HELD, bounds_met
+from keypose.ik.fullbody_problem import Problem, Term
+from keypose.ik.limits import clamp_rotation
+from keypose.ik.tasks import (
+    CenterOfMassTask,
+    ContactTask,
+    LookAtTask,
+    OrientationTask,
+    PosePrior,
+    PositionTask,
+    RelativeTask,
+    Smoothness,
+)
+from keypose.math import quat
+
+# How the damping follows what was gained: after H. Nielsen, "Damping parameter in Marquardt's method" (1999).
+SHRINK, GROWTH = 1.0 / 5.0, 2.0
+LEAST_FACTOR, MOST_FACTOR = 1e-8, 1e9  # of the cost
+SLOW = 0.5  # a step that leaves more than this share of the cost calls for curvature
+PASSES = 2
+ROUNDING = 1e-15
+
+
+@dataclass(slots=True)
+class State:
+    """Where N solves are: local rotations (N, J, 4), displacement of the root (N, 3), damping and its growth (N,), the
+    cost (N,) in square metres, the miss (N,) in tolerances, and which are ``done`` (N,)."""
+
+    rotations: Floats
+    shift: Floats
+    damping: Floats
+    growth: Floats
+    cost: Floats
+    miss: Floats
+    done: Floats
+    curved: Floats
+    steps: Floats
+
+    def take(self, rows: Ints) -> State:
+        """Some of the solves, as copies."""
+        return State(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def put(self, rows: Ints, some: State) -> None:
+        """Write some of the solves back."""
+        for field in fields(self):
+            getattr(self, field.name)[rows] = getattr(some, field.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Residuals (N, m), unweighted and weighted, and how they follow the bodies: (joint, by turning, by moving) (N, m, 3)."""
+
+    residual: Floats
+    weight: Floats
+    parts: tuple[tuple[int, Floats, Floats], ...] = ()
+    by_joint: Floats | None = None  # (N, m, J, 3) for what no body of its own has
+    by_shift: Floats | None = None  # (N, m, 3)
+    angular: bool = False
+    soft: bool = False
+
+
+def forward(problem: Problem, rotations: Floats, shift: Floats) -> tuple[Floats, Floats]:
+    """Rotations (N, J, 4) and places (N, J, 3) in the model's space."""
+    turned, places = np.empty_like(rotations), np.empty((*rotations.shape[:2], 3))
+    for joint, parent in enumerate(problem.parents):
+        if parent < 0:
+            turned[:, joint] = rotations[:, joint]
+            places[:, joint] = problem.offsets[:, joint]
+        else:
+            turned[:, joint] = quat.multiply(turned[:, parent], rotations[:, joint])
+            places[:, joint] = places[:, parent] + quat.rotate(turned[:, parent], problem.offsets[:, joint])
+        if joint == problem.mover:
+            places[:, joint] += shift
+    return turned, places
+
+
+def rows_of(
+    problem: Problem, term: Term, rotations: Floats, shift: Floats, turned: Floats, places: Floats
+) -> list[Rows]:
+    """The residuals of one term, and what each motion changes of them."""
+    zero = np.zeros((len(shift), 3, 3))
+    eye = np.broadcast_to(np.eye(3), zero.shape)
+    joint = term.joint
+    if term.kind is PositionTask:
+        arm = quat.rotate(turned[:, joint], term.offset)
+        miss = places[:, joint] + arm - term.target
+        return [Rows(miss, term.weight[:, None], ((joint, _crossing(arm), eye),))]
+    if term.kind is OrientationTask:
+        off = _turn_between(term.target, turned[:, joint])
+        return [Rows(off, term.weight[:, None], ((joint, _inverse_left(off), zero),), angular=True)]
+    if term.kind is LookAtTask:
+        arm = quat.rotate(turned[:, joint], term.offset)
+        axis = quat.rotate(turned[:, joint], np.broadcast_to(term.axis, arm.shape))
+        way = term.target - places[:, joint] - arm
+        far = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+        way = way / far
+        slant = (eye - way[:, :, None] * way[:, None, :]) / far[:, :, None]
+        part = (joint, _crossing(axis) + slant @ _crossing(arm), slant)
+        return [Rows(axis - way, term.weight[:, None], (part,), angular=True)]
+    if term.kind is ContactTask:
+        normal = term.turn if term.turn is not None else zero[:, 0]
+        arm = quat.rotate(turned[:, joint], term.offset)
+        height = np.sum((places[:, joint] + arm - term.target) * normal, axis=-1)[:, None]
+        on = isinstance(term.task, ContactTask) and term.task.on
+        active = np.ones_like(height) if on else (height < 0).astype(np.float64)
+        part = (joint, np.cross(arm, normal)[:, None] * active[..., None], (normal * active)[:, None])
+        return [Rows(height * active, term.weight[:, None], (part,))]
+    if term.kind is RelativeTask:
+        return _relative_rows(term, turned, places)
+    if term.kind is CenterOfMassTask:
+        return [_mass_rows(problem, term, turned, places)]
+    return _prior_rows(problem, term, rotations, shift, turned)
+
+
+def _relative_rows(term: Term, turned: Floats, places: Floats) -> list[Rows]:
+    joint, other = term.joint, term.other
+    back = np.asarray(quat.to_matrix(quat.conjugate(turned[:, other])))
+    found: list[Rows] = []
+    if term.positioned:
+        arm = quat.rotate(turned[:, joint], term.offset)
+        way = places[:, joint] + arm - places[:, other]
+        miss = np.einsum("nij,nj->ni", back, way) - term.target
+        ours, theirs = (joint, back @ _crossing(arm), back), (other, -back @ _crossing(way), -back)
+        found.append(Rows(miss, term.weight[:, None], (ours, theirs)))
+    if term.turn is not None:
+        off = _turn_between(term.turn, quat.multiply(quat.conjugate(turned[:, other]), turned[:, joint]))
+        by, zero = _inverse_left(off) @ back, np.zeros((len(off), 3, 3))
+        found.append(Rows(off, term.turn_weight[:, None], ((joint, by, zero), (other, -by, zero)), angular=True))
+    return found
+
+
+def _mass_rows(problem: Problem, term: Term, turned: Floats, places: Floats) -> Rows:
+    heavy = places + quat.rotate(turned, term.offset)
+    miss = (term.masses[:, None] * heavy).sum(axis=1) - term.target
+    below = problem.above.T * term.masses[:, None]  # [b, k]: the mass of b where k is above it
+    moment = np.einsum("bk,nbi->nki", below, heavy) - below.sum(axis=0)[:, None] * places
+    axes = np.asarray(term.axis)
+    by_joint = -_cross_matrix(moment).transpose(0, 2, 1, 3) * axes[:, None, None]
+    moved = float(below[:, problem.mover].sum()) if problem.mover >= 0 else 0.0
+    by_shift = np.broadcast_to(np.diag(axes * moved), (len(miss), 3, 3))
+    return Rows(miss * axes, term.weight[:, None], by_joint=by_joint, by_shift=by_shift)
+
+
+def _prior_rows(problem: Problem, term: Term, rotations: Floats, shift: Floats, turned: Floats) -> list[Rows]:
+    off = _turn_between(term.target, rotations)
+    count, joints = off.shape[:2]
+    above = np.empty((count, joints, 3, 3))
+    for joint, parent in enumerate(problem.parents):
+        above[:, joint] = np.eye(3) if parent < 0 else quat.to_matrix(quat.conjugate(turned[:, parent]))
+    blocks = _inverse_left(off.reshape(-1, 3)).reshape(above.shape) @ above
+    used = np.flatnonzero((term.by_joint > 0) & (problem.free > 0))
+    by_joint = np.zeros((count, len(used), 3, joints, 3))
+    for n, joint in enumerate(used):
+        by_joint[:, n, :, joint] = blocks[:, joint]
+    weight = np.broadcast_to(np.repeat(term.by_joint[used], 3), (count, 3 * len(used)))
+    found = [
+        Rows(
+            off[:, used].reshape(count, -1), weight, by_joint=by_joint.reshape(count, -1, joints, 3),
+            by_shift=np.zeros((count, 3 * len(used), 3)), angular=True, soft=True,
+        )
+    ]  # fmt: skip
+    if term.root_weight > 0 and problem.mover >= 0:
+        by_shift = np.broadcast_to(np.eye(3), (count, 3, 3))
+        weight = np.full((count, 1), term.root_weight)
+        found.append(
+            Rows(shift - term.offset, weight, by_joint=np.zeros((count, 3, joints, 3)), by_shift=by_shift, soft=True)
+        )
+    return found
+
+
+def evaluate(problem: Problem, rotations: Floats, shift: Floats) -> tuple[Floats, Floats, list[Rows]]:
+    """Model rotations, places and all rows."""
+    turned, places = forward(problem, rotations, shift)
+    return turned, places, [r for t in problem.terms for r in rows_of(problem, t, rotations, shift, turned, places)]
+
+
+def cost_of(rows: list[Rows], count: int) -> Floats:
+    """Half the sum of the weighted squares (N,)."""
+    total = np.zeros(count)
+    for r in rows:
+        total += 0.5 * np.sum((r.weight * r.residual) ** 2, axis=-1)
+    return total
+
+
+def miss_of(rows: list[Rows], count: int, tolerance_m: float, tolerance_rad: float) -> Floats:
+    """The worst of the hard tasks (N,), in tolerances."""
+    worst = np.zeros(count)
+    for r in rows:
+        if not r.soft:
+            size = np.linalg.norm(r.residual, axis=-1) / (tolerance_rad if r.angular else tolerance_m)
+            worst = np.maximum(worst, np.where(r.weight[:, 0] > 0, size, 0.0))
+    return worst
+
+
+def jacobian(problem: Problem, rows: list[Rows], places: Floats) -> Floats:
+    """Rows (N, R, 3J + 3) over the turns of all joints and the root's displacement, weighted."""
+    count, joints = places.shape[:2]
+    blocks: list[Floats] = []
+    for r in rows:
+        out = np.zeros((count, r.residual.shape[1], joints + 1, 3))
+        if r.by_joint is not None and r.by_shift is not None:
+            out[:, :, :joints], out[:, :, joints] = r.by_joint, r.by_shift
+        for body, turning, moving in r.parts:
+            above = np.flatnonzero(problem.above[:, body])
+            arms = places[:, None, body] - places[:, above]
+            out[:, :, above] += turning[:, :, None] + np.cross(arms[:, None], moving[:, :, None])
+            if problem.mover >= 0 and problem.above[problem.mover, body]:
+                out[:, :, joints] += moving
+        out *= r.weight[:, :, None, None]
+        blocks.append(out.reshape(count, -1, 3 * joints + 3))
+    return np.concatenate(blocks, axis=1) if blocks else np.zeros((count, 0, 3 * joints + 3))
+
+
+def measure(problem: Problem, state: State, tolerance_m: float, tolerance_rad: float) -> None:
+    """Cost and miss of where the solves are."""
+    rows, count = evaluate(problem, state.rotations, state.shift)[2], len(state.cost)
+    state.cost[:], state.miss[:] = cost_of(rows, count), miss_of(rows, count, tolerance_m, tolerance_rad)
+    state.done |= state.miss <= 1.0
+
+
+def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: float, settled: float) -> None:
+    """One trial step of every solve that is not done; the cost only ever falls."""
+    left = np.flatnonzero(~state.done)
+    if not len(left):
+        return
+    part = problem if len(left) == len(state.done) else problem.take(left)
+    rotations, shift, old = state.rotations[left], state.shift[left], state.cost[left]
+    turned, places, rows = evaluate(part, rotations, shift)
+    matrix = jacobian(part, rows, places)
+    weighted = np.concatenate([r.weight * r.residual for r in rows] or [np.zeros((len(shift), 0))], axis=1)
+    gradient = np.einsum("nrc,nr->nc", matrix, weighted)
+    hessian = np.swapaxes(matrix, 1, 2) @ matrix
+    hessian += state.curved[left, None, None] * curvature(part, turned, places)
+    freedom = _freedom(part, rotations, turned, gradient)
+    forced, damping = np.zeros_like(gradient), np.maximum(state.damping[left] * old, part.least_damping)
+    for _ in range(PASSES):
+        change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
+        new, moved = apply(part, rotations, shift, turned, change)
+        if not _stop_at_bounds(part, rotations, turned, change, new, freedom, forced):
+            break
+    new_rows = evaluate(part, new, moved)[2]
+    cost = cost_of(new_rows, len(shift))
+    better = sound & (cost < old)
+    taken = left[better]
+    state.rotations[taken], state.shift[taken], state.cost[taken] = new[better], moved[better], cost[better]
+    state.miss[taken] = miss_of(new_rows, len(shift), tolerance_m, tolerance_rad)[better]
+    gain = np.clip((old - cost) / np.maximum(promised, 1e-300), 0.0, 1.0)
+    factor = np.where(better, np.maximum(SHRINK, 1.0 - (2.0 * gain - 1.0) ** 3), state.growth[left])
+    state.damping[left] = np.clip(state.damping[left] * factor, LEAST_FACTOR, MOST_FACTOR)
+    state.growth[left] = np.where(better, GROWTH, 2.0 * state.growth[left])
+    state.curved[left] = np.where(better, cost > SLOW * old, sound & (state.curved[left] > 0))
+    state.steps[left] += 1
+    small = sound & ((np.max(np.abs(change), axis=1, initial=0.0) < settled) | (promised < ROUNDING * old))
+    state.done[left] = (state.miss[left] <= 1.0) | small | (state.damping[left] >= MOST_FACTOR)
+
+
+def curvature(problem: Problem, turned: Floats, places: Floats) -> Floats:
+    """What the Hessian (N, C, C) has beyond the squares of the Jacobian, by the forces that tasks pull points with.
+
+    Source: the second derivative of a point by the turns of two joints above it, i above j, is w_i x (w_j x arm of j).
+    """
+    count, joints = places.shape[:2]
+    out = np.zeros((count, joints + 1, 3, joints + 1, 3))
+    for term in problem.terms:
+        pulled = _pull(term, turned, places)
+        if pulled is None:
+            continue
+        point, force = pulled
+        chain = [int(j) for j in np.flatnonzero(problem.above[:, term.joint])]
+        for low in chain:
+            arm = point - places[:, low]
+            block = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=-1)[:, None, None] * np.eye(3)
+            for high in chain:
+                if high < low:
+                    out[:, high, :, low] += block
+                    out[:, low, :, high] += np.swapaxes(block, 1, 2)
+            out[:, low, :, low] += 0.5 * (block + np.swapaxes(block, 1, 2))
+    return out.reshape(count, 3 * joints + 3, 3 * joints + 3)
+
+
+def _pull(term: Term, turned: Floats, places: Floats) -> tuple[Floats, Floats] | None:
+    """The point that a task pulls at and its force, both (N, 3)."""
+    if term.kind is not PositionTask and term.kind is not ContactTask and term.kind is not LookAtTask:
+        return None
+    place = places[:, term.joint]
+    point = place + quat.rotate(turned[:, term.joint], term.offset)
+    square = term.weight[:, None] ** 2
+    if term.kind is PositionTask:
+        return point, square * (point - term.target)
+    if term.kind is ContactTask and term.turn is not None:
+        height = np.sum((point - term.target) * term.turn, axis=-1)[:, None]
+        on = isinstance(term.task, ContactTask) and term.task.on
+        return point, square * term.turn * (height if on else np.minimum(height, 0.0))
+    axis = quat.rotate(turned[:, term.joint], np.broadcast_to(term.axis, point.shape))
+    way = term.target - point
+    far = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+    off, way = axis - way / far, way / far
+    return place, square * (off - way * np.sum(way * off, axis=-1, keepdims=True)) / far
+
+
+def _damped_step(
+    hessian: Floats, gradient: Floats, freedom: Floats, damping: Floats, forced: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """The damped step (N, C) that what is forced is part of, what it promises to gain, and whether it is one at all."""
+    pull = (gradient + np.einsum("nab,nb->na", hessian, forced))[:, None]
+    system = hessian.copy()
+    _project(system, freedom)
+    system = np.swapaxes(system, 1, 2).copy()
+    _project(system, freedom)
+    _project(pull, freedom)
+    diagonal = np.arange(system.shape[1])
+    system[:, diagonal, diagonal] += damping[:, None]
+    change = forced - np.linalg.solve(system, pull[:, 0, :, None])[..., 0]
+    promised = -np.sum(gradient * change, axis=-1) - 0.5 * np.einsum("na,nab,nb->n", change, hessian, change)
+    return change, promised, np.linalg.eigvalsh(system)[:, 0] > 0
+
+
+def _stop_at_bounds(
+    problem: Problem, rotations: Floats, turned: Floats, change: Floats, new: Floats, freedom: Floats, forced: Floats
+) -> bool:
+    """Force joints that a step carried over their bounds to go just there; whether there are any."""
+    found = False
+    for one in problem.limited:
+        joint, parent = one.joint, int(problem.parents[one.joint])
+        turn = quat.shortest(quat.multiply(new[:, joint], quat.conjugate(rotations[:, joint])))
+        went = 2.0 * turn[:, 1:] / np.maximum(turn[:, :1], 1e-6)
+        if parent >= 0:
+            went = quat.rotate(turned[:, parent], went)
+        over = (
+            np.linalg.norm(went - change[:, 3 * joint : 3 * joint + 3], axis=-1)
+            > 0.1 * np.linalg.norm(went, axis=-1) + 1e-6
+        )
+        if over.any():
+            found = True
+            freedom[over, joint] = 0.0
+            forced[over, 3 * joint : 3 * joint + 3] = went[over]
+    return found
+
+
+def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
+    """What each joint may do now (N, J + 1, 3, 3): the projection onto turns that no bound is in the way of."""
+    count, joints = rotations.shape[:2]
+    free = np.zeros((count, joints + 1, 3, 3))
+    free[:, :joints] = np.eye(3) * problem.free[:, None, None]
+    free[:, joints] = np.diag(problem.ways) if problem.mover >= 0 else 0.0
+    if problem.upright >= 0:
+        free[:, problem.upright] = np.diag([0.0, 1.0, 0.0])
+    for one in problem.limited:
+        parent = int(problem.parents[one.joint])
+        directions, sides = bounds_met(one.limit, rotations[:, one.joint], one.home)
+        if parent >= 0:
+            directions = quat.rotate(turned[:, parent, None], directions)
+        pull = -np.einsum("nki,ni->nk", directions, gradient[:, 3 * one.joint : 3 * one.joint + 3])
+        blocked = (sides == HELD) | ((sides != FREE) & (pull * sides > 0))
+        free[:, one.joint] = _complement(directions * blocked[..., None])
+    return free
+
+
+def _complement(normals: Floats) -> Floats:
+    """The projections (N, 3, 3) onto what is across all normals (N, k, 3); zero ones do not count."""
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", _unit(normals), _unit(normals)))
+    kept = vectors * (values[:, None, :] < 1e-9)
+    return kept @ np.swapaxes(vectors, 1, 2)
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 1e-9, vectors / np.maximum(length, 1e-300), 0.0)
+
+
+def _project(matrix: Floats, freedom: Floats) -> None:
+    count, rows, columns = matrix.shape
+    blocks = matrix.reshape(count, rows, columns // 3, 3)
+    blocks[:] = np.einsum("nrji,njik->nrjk", blocks, freedom)
+
+
+def apply(problem: Problem, rotations: Floats, shift: Floats, turned: Floats, change: Floats) -> tuple[Floats, Floats]:
+    """Local rotations and displacement after a step (N, 3J + 3), limits held."""
+    new = np.empty_like(rotations)
+    for joint, parent in enumerate(problem.parents):
+        turn = change[:, 3 * joint : 3 * joint + 3]
+        if parent >= 0:
+            turn = quat.rotate(quat.conjugate(turned[:, parent]), turn)
+        small = np.concatenate([np.ones((len(turn), 1)), 0.5 * turn], axis=1)
+        new[:, joint] = quat.normalize(quat.multiply(small, rotations[:, joint]))
+    new[:, problem.free == 0] = rotations[:, problem.free == 0]
+    hold(problem, new)
+    return new, shift + change[:, -3:]
+
+
+def hold(problem: Problem, rotations: Floats) -> None:
+    """Bring every limited joint inside its limit, in place."""
+    for one in problem.limited:
+        rotations[:, one.joint] = clamp_rotation(one.limit, rotations[:, one.joint], one.home)
+
+
+def _crossing(arm: Floats) -> Floats:
+    """The matrix (N, 3, 3) that a turn w is multiplied by to give w x arm."""
+    return -_cross_matrix(arm)
+
+
+def _cross_matrix(v: Floats) -> Floats:
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    zero = np.zeros_like(x)
+    return np.stack(
+        [np.stack([zero, -z, y], axis=-1), np.stack([z, zero, -x], axis=-1), np.stack([-y, x, zero], axis=-1)], axis=-2
+    )
+
+
+def _turn_between(start: Floats, end: Floats) -> Floats:
+    """The rotation vector that leads from one rotation to another, in the space above both; the shorter way."""
+    return np.asarray(quat.to_rotation_vector(quat.shortest(quat.multiply(end, quat.conjugate(start)))))
+
+
+def _inverse_left(v: Floats) -> Floats:
+    """How a rotation vector (N, 3) follows a small turn from the left: the inverse left Jacobian of SO(3).
+
+    Source: T. Barfoot, "State Estimation for Robotics" (2017), equation 7.77.
+    """
+    angle = np.linalg.norm(v, axis=-1)
+    half = 0.5 * angle
+    safe = np.where(half < 1e-4, 1.0, half)
+    cotangent = np.where(half < 1e-4, 1.0 - half**2 / 3.0, safe / np.tan(safe))
+    axis = v / np.maximum(angle, 1e-300)[..., None]
+    outer = axis[..., :, None] * axis[..., None, :]
+    eye = np.broadcast_to(np.eye(3), outer.shape)
+    return cotangent[..., None, None] * eye + (1.0 - cotangent)[..., None, None] * outer - 0.5 * _cross_matrix(v)

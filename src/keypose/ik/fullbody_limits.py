@@ -1,0 +1,136 @@
+"""Limits as the full-body solver meets them: at which bounds a joint stands, and which way each of them is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from keypose.arrays import Floats, Ints
+from keypose.ik.limits import Cone, EulerRange, Hinge, JointLimit, swing_axes
+from keypose.math import euler, quat
+
+AT_BOUND_RAD = 1e-7
+_WHOLE_TURN = 2.0 * np.pi - 1e-12
+
+FREE, HIGH, LOW, HELD = 0, 1, -1, 2
+
+
+def bounds_met(limit: JointLimit, rotation: Floats, home: Floats) -> tuple[Floats, Ints]:
+    """The bounds at which a joint stands.
+
+    Shapes and units: local ``rotation`` and the rotation ``home`` that the limit counts from, both (N, 4). Returns directions
+    (N, 3, 3) in the parent's space, along which a small turn raises what is bounded, and (N, 3) which bound it is: `HIGH`,
+    `LOW`, `HELD` (it must not change at all) or `FREE`.
+
+    Source: the gradients of the twist angle and of the swing vector of a quaternion, by the chain rule.
+    """
+    turn = quat.multiply(quat.conjugate(home), rotation)
+    match limit:
+        case Hinge():
+            return _of_hinge(limit, turn, home)
+        case EulerRange():
+            return _of_angles(limit, turn, home)
+        case Cone():
+            return _of_cone(limit, turn, home)
+
+
+def _side(value: Floats, low: float, high: float) -> Ints:
+    """Which end of its range an angle stands at, on the circle."""
+    if high - low >= _WHOLE_TURN:
+        return np.zeros(value.shape, np.int8)
+    if high - low < 2.0 * AT_BOUND_RAD:
+        return np.full(value.shape, HELD, np.int8)
+    middle = 0.5 * (low + high)
+    around = (value - middle + np.pi) % (2.0 * np.pi) - np.pi
+    found = np.where(around > high - middle - AT_BOUND_RAD, HIGH, FREE)
+    return np.where(around < low - middle + AT_BOUND_RAD, LOW, found).astype(np.int8)
+
+
+def _of_hinge(limit: Hinge, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+    axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
+    angle = 2.0 * np.arctan2(turn[:, 1:] @ axis, turn[:, 0])
+    basis = np.stack([axis, *_across(axis)])
+    sides = np.full((len(turn), 3), HELD, np.int8)
+    sides[:, 0] = _side(angle, limit.low_rad, limit.high_rad)
+    return _turned(home, np.broadcast_to(basis, (len(turn), 3, 3))), sides
+
+
+def _of_angles(limit: EulerRange, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+    angles = allowed_angles(limit, turn)
+    order, columns = limit.order, list(range(3))
+    if order.islower():  # fixed axes are moving ones in the other order
+        order, columns = order.upper()[::-1], columns[::-1]
+    axes = [np.eye(3)["XYZ".index(letter)] for letter in order]
+    rates, before = [], np.broadcast_to([1.0, 0.0, 0.0, 0.0], turn.shape)
+    for axis, column in zip(axes, columns, strict=True):
+        along = np.broadcast_to(axis, (len(turn), 3))
+        rates.append(quat.rotate(before, along))
+        before = quat.multiply(before, quat.from_axis_angle(along, angles[:, column]))
+    volume = np.sum(np.cross(rates[0], rates[1]) * rates[2], axis=-1)
+    directions = np.empty((len(turn), 3, 3))
+    sides = np.empty((len(turn), 3), np.int8)
+    for n, column in enumerate(columns):
+        # The angle's own direction is across the axes of the other two; at gimbal lock there is none.
+        directions[:, n] = np.cross(rates[(n + 1) % 3], rates[(n + 2) % 3]) * np.sign(volume)[:, None]
+        sides[:, n] = _side(angles[:, column], limit.low_rad[column], limit.high_rad[column])
+    sides[np.linalg.norm(directions, axis=-1) < 1e-6] = FREE
+    return _turned(home, directions), sides
+
+
+def allowed_angles(limit: EulerRange, turn: Floats) -> Floats:
+    """Of the two triples of Euler angles of rotations (N, 4), the one that is less outside the limit."""
+    low, high = np.asarray(limit.low_rad), np.asarray(limit.high_rad)
+    first = np.asarray(euler.from_quat(turn, limit.order))
+    proper = limit.order[0] == limit.order[2]
+    middle = -first[:, 1] if proper else np.pi - first[:, 1]
+    second = np.stack([first[:, 0] + np.pi, middle, first[:, 2] + np.pi], axis=-1)
+    middles = 0.5 * (low + high)
+    over = []
+    for triple in (first, second):
+        around = (triple - middles + np.pi) % (2.0 * np.pi) - np.pi
+        over.append(np.maximum(np.abs(around) - 0.5 * (high - low), 0.0).sum(axis=1))
+    return np.where((over[1] < over[0])[:, None], second, first)
+
+
+def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+    axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
+    center = np.broadcast_to(np.asarray(limit.center, np.float64), turn.shape)
+    turn = quat.multiply(quat.conjugate(center), turn)
+    frame = quat.multiply(home, center)
+    w, v = turn[:, :1], turn[:, 1:]
+    along = v @ axis
+    directions = np.zeros((len(turn), 3, 3))
+    sides = np.zeros((len(turn), 3), np.int8)
+    # Twist: 2 atan2(v.a, w); its gradient in the joint's own axes, turned into those of the cone.
+    size = np.maximum(w[:, 0] ** 2 + along**2, 1e-300)[:, None]
+    rate = (w * w * axis + w * np.cross(axis, v) + along[:, None] * v) / size
+    directions[:, 0] = quat.rotate(turn, rate)
+    sides[:, 0] = _side(2.0 * np.arctan2(along, w[:, 0]), limit.twist_low_rad, limit.twist_high_rad)
+    # Swing: the ellipse is a function of where the axis points.
+    u, other = swing_axes(limit)
+    a, b = limit.swings
+    pointed = quat.rotate(turn, np.broadcast_to(axis, v.shape))
+    x, y, z = pointed @ u, pointed @ other, pointed @ axis
+    sine = np.hypot(x, y)
+    angle = np.arctan2(sine, z)
+    cos, sin = x / np.maximum(sine, 1e-12), y / np.maximum(sine, 1e-12)
+    shape = sin * sin / a**2 + cos * cos / b**2  # swing about u moves the axis along the other
+    about = -sin[:, None] * u + cos[:, None] * other
+    slope = 2.0 * angle * shape
+    turning = angle**2 * 2.0 * sin * cos * (1.0 / a**2 - 1.0 / b**2) / np.maximum(sine, 1e-12)
+    gradient = slope[:, None] * about + turning[:, None] * np.cross(pointed, about)
+    length = np.linalg.norm(gradient, axis=-1)
+    directions[:, 1] = gradient / np.maximum(length, 1e-12)[:, None]
+    if max(a, b) < np.pi:
+        reach = angle * np.sqrt(shape)
+        sides[:, 1] = np.where((reach > 1.0 - AT_BOUND_RAD) & (length > 1e-9), HIGH, FREE)
+    return _turned(frame, directions), sides
+
+
+def _turned(frame: Floats, directions: Floats) -> Floats:
+    return quat.rotate(np.broadcast_to(frame[:, None], (*directions.shape[:-1], 4)), directions)
+
+
+def _across(axis: Floats) -> tuple[Floats, Floats]:
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis, first)

@@ -1,0 +1,25 @@
+"""What the kernels of the full-body solver share with those who fill their tables: columns, kinds, slots of a joint."""
+
+from __future__ import annotations
+
+POSITION, ORIENTATION, LOOK_AT, CONTACT, PRIOR, ROOT_PRIOR = range(6)
+HINGE, ANGLES, CONE = range(3)
+FREE, FIXED, UPRIGHT = range(3)  # kinds of joints
+# The state of a solve.
+DAMPING, GROWTH, COST, MISS, DONE, CURVED, STEPS, STATES = range(8)
+# Columns of the tables of joints, terms and limits.
+J_PARENT, J_KIND, J_LIMIT, J_PRIOR, JOINT_COLUMNS = range(5)
+T_KIND, T_JOINT, T_AT, T_OPTION, TERM_COLUMNS = range(5)
+L_KIND, L_JOINT, L_HOME, L_I, L_J, L_K, LIMIT_COLUMNS = range(7)
+LIMIT_NUMBERS = 20
+# What `options` says.
+O_TOLERANCE_M, O_TOLERANCE_RAD, O_SETTLED, O_SHRINK, O_GROWTH, O_LEAST = range(6)
+O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, OPTIONS = range(6, 12)
+BOUND = 1e-7  # radians (shares of the cone) within which a joint stands at its bound
+
+# Slots of one joint, each of a vector.
+TURN, PLACE, INERTIA, MIXED, MASS, TORQUE, FORCE, MOMENT, PULL, VIRIAL = 0, 4, 7, 13, 22, 28, 31, 34, 37, 40
+BY_TURN, BY_MOVE, BY_PULL, BEST, STEP, MOTION, KEEP, FORCED, NORMALS, SIDE, BEST_SIDE, PRIOR_INERTIA, PRIOR_PULL, SAVED = (
+    49, 58, 67, 70, 74, 77, 83, 84, 87, 96, 99, 102, 108, 111,
+)  # fmt: skip
+SLOTS, SUMS = 138, 27

@@ -1,0 +1,327 @@
+# pyright: basic
+"""Tasks of the full-body solver as inertias and forces on the joints' bodies, with cost and miss."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from keypose.kernels.fullbodytables import (
+    CONTACT,
+    FORCE,
+    INERTIA,
+    J_PARENT,
+    J_PRIOR,
+    JOINT_COLUMNS,
+    LOOK_AT,
+    MASS,
+    MIXED,
+    MOMENT,
+    ORIENTATION,
+    PLACE,
+    POSITION,
+    PRIOR,
+    PRIOR_INERTIA,
+    PRIOR_PULL,
+    PULL,
+    SLOTS,
+    T_AT,
+    T_JOINT,
+    T_KIND,
+    T_OPTION,
+    TERM_COLUMNS,
+    TORQUE,
+    TURN,
+    VIRIAL,
+)
+from keypose.kernels.rotations import load3, load4, quat_multiply, quat_rotate, store3, store4
+from keypose.kernels.runtime import inlined, kernel
+from keypose.kernels.vectors import absolute, fill, flip_sign, load, maximum, sqrt, store
+
+
+@inlined
+def cross(ax, ay, az, bx, by, bz):
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@inlined
+def add(m, at, value):
+    store(m, at, load(m, at) + value)
+
+
+@inlined
+def add3(m, at, n, x, y, z):
+    add(m, at, x)
+    add(m, at + n, y)
+    add(m, at + 2 * n, z)
+
+
+@kernel
+def forward(joints, count, mover, row, q, off, shift, work, n):
+    """Model rotations and places."""
+    for j in range(count):
+        w, p = work + j * SLOTS * n, joints[j * JOINT_COLUMNS + J_PARENT]
+        a, b, c, d = load4(row, q + 4 * j * n, n)
+        x, y, z = load3(row, off + 3 * j * n, n)
+        if p >= 0:
+            up = work + p * SLOTS * n
+            e, f, g, h = load4(row, up + TURN * n, n)
+            a, b, c, d = quat_multiply(e, f, g, h, a, b, c, d)
+            x, y, z = quat_rotate(e, f, g, h, x, y, z)
+            px, py, pz = load3(row, up + PLACE * n, n)
+            x, y, z = x + px, y + py, z + pz
+        if j == mover:
+            sx, sy, sz = load3(row, shift, n)
+            x, y, z = x + sx, y + sy, z + sz
+        store4(row, w + TURN * n, n, a, b, c, d)
+        store3(row, w + PLACE * n, n, x, y, z)
+
+
+@kernel
+def _clear(row, work, count, n, curved):
+    zero = fill(row, 0.0)
+    last = VIRIAL + 9 if curved else VIRIAL
+    for j in range(count):
+        w = work + j * SLOTS * n
+        for k in range(INERTIA, last):
+            store(row, w + k * n, zero)
+
+
+@inlined
+def _push(row, w, n, px, py, pz, fx, fy, fz, curved):
+    """A force at a place: plain sums for the gradient of every joint above."""
+    add3(row, w + PULL * n, n, fx, fy, fz)
+    mx, my, mz = cross(px, py, pz, fx, fy, fz)
+    add3(row, w + MOMENT * n, n, mx, my, mz)
+    if curved:
+        add3(row, w + VIRIAL * n, n, px * fx, px * fy, px * fz)
+        add3(row, w + (VIRIAL + 3) * n, n, py * fx, py * fy, py * fz)
+        add3(row, w + (VIRIAL + 6) * n, n, pz * fx, pz * fy, pz * fz)
+
+
+@kernel
+def _position(row, w, at, n, pointed, curved, cost, miss, per_m):
+    tx, ty, tz, weight = load4(row, at, n)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    ww = weight * weight
+    add(row, w + MASS * n, ww)
+    add(row, w + (MASS + 3) * n, ww)
+    add(row, w + (MASS + 5) * n, ww)
+    if pointed:
+        a, b, c, d = load4(row, w + TURN * n, n)
+        bx, by, bz = load3(row, at + 4 * n, n)
+        bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+        px, py, pz = px + bx, py + by, pz + bz
+        xx, yy, zz = bx * bx, by * by, bz * bz
+        add3(row, w + INERTIA * n, n, ww * (yy + zz), 0.0 - ww * bx * by, 0.0 - ww * bx * bz)
+        add3(row, w + (INERTIA + 3) * n, n, ww * (xx + zz), 0.0 - ww * by * bz, ww * (xx + yy))
+        sx, sy, sz = ww * bx, ww * by, ww * bz
+        add(row, w + (MIXED + 1) * n, 0.0 - sz)
+        add(row, w + (MIXED + 2) * n, sy)
+        add(row, w + (MIXED + 3) * n, sz)
+        add(row, w + (MIXED + 5) * n, 0.0 - sx)
+        add(row, w + (MIXED + 6) * n, 0.0 - sy)
+        add(row, w + (MIXED + 7) * n, sx)
+        rx, ry, rz = px - tx, py - ty, pz - tz
+        gx, gy, gz = cross(sx, sy, sz, rx, ry, rz)
+        add3(row, w + TORQUE * n, n, gx, gy, gz)
+    rx, ry, rz = px - tx, py - ty, pz - tz
+    fx, fy, fz = ww * rx, ww * ry, ww * rz
+    add3(row, w + FORCE * n, n, fx, fy, fz)
+    _push(row, w, n, px, py, pz, fx, fy, fz, curved)
+    squared = rx * rx + ry * ry + rz * rz
+    add(row, cost, 0.5 * (ww * squared))
+    # A weight of 0 takes the task out; any other counts whole.
+    counts = weight / maximum(weight, fill(row, 1e-300))
+    store(row, miss, maximum(load(row, miss), counts * per_m * sqrt(squared)))
+
+
+@kernel
+def _logarithm(row, q, out, n):
+    """The rotation vector of the unit quaternions at ``q``, its angle, and (half angle / sine of it) squared: to ``out``."""
+    for k in range(n):
+        w, x, y, z = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
+        sign = -1.0 if w < 0.0 else 1.0
+        sine = np.sqrt(x * x + y * y + z * z)
+        half = np.arctan2(sine, sign * w)
+        scale = 2.0 / (sign * w) if sine < 1e-12 else 2.0 * half / sine
+        row[out + k], row[out + n + k], row[out + 2 * n + k] = sign * scale * x, sign * scale * y, sign * scale * z
+        row[out + 3 * n + k] = 2.0 * half
+        row[out + 4 * n + k] = 1.0 if half < 1e-8 else half * half / max(sine * sine, 1e-300)
+
+
+@inlined
+def _turn_inertia(row, vector, n, ww):
+    """The six entries of ww (s I + (1 - s) axis axis^T) and the gradient, from what `_logarithm` wrote."""
+    x, y, z, angle = load4(row, vector, n)
+    s = load(row, vector + 4 * n)
+    rest = ww * (1.0 - s) / maximum(angle * angle, fill(row, 1e-30))
+    own = ww * s
+    xx, xy, xz = own + rest * x * x, rest * x * y, rest * x * z
+    yy, yz, zz = own + rest * y * y, rest * y * z, own + rest * z * z
+    return xx, xy, xz, yy, yz, zz, ww * x, ww * y, ww * z
+
+
+@kernel
+def _orientation(row, w, at, n, near, cost, miss, per_rad):
+    a, b, c, d = load4(row, w + TURN * n, n)
+    e, f, g, h = load4(row, at, n)
+    weight = load(row, at + 4 * n)
+    ww = weight * weight
+    r, s, t, u = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
+    store4(row, near, n, r, s, t, u)
+    _logarithm(row, near, near + 4 * n, n)
+    xx, xy, xz, yy, yz, zz, gx, gy, gz = _turn_inertia(row, near + 4 * n, n, ww)
+    add3(row, w + INERTIA * n, n, xx, xy, xz)
+    add3(row, w + (INERTIA + 3) * n, n, yy, yz, zz)
+    add3(row, w + TORQUE * n, n, gx, gy, gz)
+    add3(row, w + MOMENT * n, n, gx, gy, gz)
+    angle = load(row, near + 7 * n)
+    add(row, cost, 0.5 * (ww * (angle * angle)))
+    counts = weight / maximum(weight, fill(row, 1e-300))
+    store(row, miss, maximum(load(row, miss), counts * per_rad * angle))
+
+
+@kernel
+def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, curved):
+    """One residual that follows a body's turn by a and its motion by v; its force pulls at q."""
+    x, y, z = ww * ax, ww * ay, ww * az
+    add3(row, w + INERTIA * n, n, x * ax, x * ay, x * az)
+    add3(row, w + (INERTIA + 3) * n, n, y * ay, y * az, z * az)
+    add3(row, w + MIXED * n, n, x * vx, x * vy, x * vz)
+    add3(row, w + (MIXED + 3) * n, n, y * vx, y * vy, y * vz)
+    add3(row, w + (MIXED + 6) * n, n, z * vx, z * vy, z * vz)
+    add3(row, w + TORQUE * n, n, x * r, y * r, z * r)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    fx, fy, fz = ww * vx * r, ww * vy * r, ww * vz * r
+    mx, my, mz = cross(px, py, pz, fx, fy, fz)
+    add3(row, w + MOMENT * n, n, mx + x * r, my + y * r, mz + z * r)
+    add3(row, w + PULL * n, n, fx, fy, fz)
+    add3(row, w + FORCE * n, n, fx, fy, fz)
+    if curved:
+        add3(row, w + VIRIAL * n, n, qx * fx, qx * fy, qx * fz)
+        add3(row, w + (VIRIAL + 3) * n, n, qy * fx, qy * fy, qy * fz)
+        add3(row, w + (VIRIAL + 6) * n, n, qz * fx, qz * fy, qz * fz)
+    x, y, z = ww * vx, ww * vy, ww * vz
+    add3(row, w + MASS * n, n, x * vx, x * vy, x * vz)
+    add3(row, w + (MASS + 3) * n, n, y * vy, y * vz, z * vz)
+
+
+@kernel
+def _look_at(row, w, at, n, curved, cost, miss, per_rad):
+    a, b, c, d = load4(row, w + TURN * n, n)
+    tx, ty, tz, weight = load4(row, at, n)
+    bx, by, bz = load3(row, at + 4 * n, n)
+    ux, uy, uz = load3(row, at + 7 * n, n)
+    bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+    ux, uy, uz = quat_rotate(a, b, c, d, ux, uy, uz)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    x, y, z = tx - px - bx, ty - py - by, tz - pz - bz
+    far = maximum(sqrt(x * x + y * y + z * z), fill(row, 1e-9))
+    x, y, z = x / far, y / far, z / far
+    ww, one = weight * weight, 1.0 / far
+    rx, ry, rz = ux - x, uy - y, uz - z
+    # By moving: (I - d d^T) / far. By turning: a turn t changes the axis by t x u, the foot by t x b.
+    sxx, sxy, sxz = one * (1.0 - x * x), 0.0 - one * x * y, 0.0 - one * x * z
+    syy, syz, szz = one * (1.0 - y * y), 0.0 - one * y * z, one * (1.0 - z * z)
+    ax, ay, az = cross(bx, by, bz, sxx, sxy, sxz)
+    _row_of_body(row, w, n, ww, ax, ay + uz, az - uy, sxx, sxy, sxz, rx, px, py, pz, curved)
+    ax, ay, az = cross(bx, by, bz, sxy, syy, syz)
+    _row_of_body(row, w, n, ww, ax - uz, ay, az + ux, sxy, syy, syz, ry, px, py, pz, curved)
+    ax, ay, az = cross(bx, by, bz, sxz, syz, szz)
+    _row_of_body(row, w, n, ww, ax + uy, ay - ux, az, sxz, syz, szz, rz, px, py, pz, curved)
+    squared = rx * rx + ry * ry + rz * rz
+    add(row, cost, 0.5 * (ww * squared))
+    counts = weight / maximum(weight, fill(row, 1e-300))
+    store(row, miss, maximum(load(row, miss), counts * per_rad * sqrt(squared)))
+
+
+@kernel
+def _contact(row, w, at, n, on, curved, cost, miss, per_m):
+    a, b, c, d = load4(row, w + TURN * n, n)
+    ox, oy, oz = load3(row, at, n)
+    nx, ny, nz = load3(row, at + 3 * n, n)
+    weight = load(row, at + 6 * n)
+    bx, by, bz = load3(row, at + 7 * n, n)
+    bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    height = (px + bx - ox) * nx + (py + by - oy) * ny + (pz + bz - oz) * nz
+    ww = weight * weight
+    if not on:
+        half = fill(row, 0.5)
+        below = half - flip_sign(half, height)
+        ww, height = ww * below, height * below
+    ax, ay, az = cross(bx, by, bz, nx, ny, nz)
+    _row_of_body(row, w, n, ww, ax, ay, az, nx, ny, nz, height, px + bx, py + by, pz + bz, curved)
+    add(row, cost, 0.5 * (ww * height * height))
+    counts = weight / maximum(weight, fill(row, 1e-300))
+    store(row, miss, maximum(load(row, miss), counts * per_m * absolute(height)))
+
+
+@kernel
+def _prior(row, w, up, q, at, n, near, cost):
+    """A joint's own prior: weight in the joint's damping, not in the body's inertia."""
+    a, b, c, d = load4(row, q, n)
+    e, f, g, h = load4(row, at, n)
+    weight = load(row, at + 4 * n)
+    ww = weight * weight
+    r, s, t, u = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
+    store4(row, near, n, r, s, t, u)
+    _logarithm(row, near, near + 4 * n, n)
+    if up >= 0:
+        a, b, c, d = load4(row, up + TURN * n, n)
+        x, y, z = load3(row, near + 4 * n, n)
+        x, y, z = quat_rotate(a, b, c, d, x, y, z)
+        store3(row, near + 4 * n, n, x, y, z)
+    xx, xy, xz, yy, yz, zz, gx, gy, gz = _turn_inertia(row, near + 4 * n, n, ww)
+    add3(row, w + PRIOR_INERTIA * n, n, xx, xy, xz)
+    add3(row, w + (PRIOR_INERTIA + 3) * n, n, yy, yz, zz)
+    add3(row, w + PRIOR_PULL * n, n, gx, gy, gz)
+    angle = load(row, near + 7 * n)
+    add(row, cost, 0.5 * (ww * (angle * angle)))
+
+
+@kernel
+def _root_prior(row, w, shift, at, n, curved, cost):
+    tx, ty, tz, weight = load4(row, at, n)
+    x, y, z = load3(row, shift, n)
+    x, y, z, ww = x - tx, y - ty, z - tz, weight * weight
+    add(row, cost, 0.5 * ww * (x * x + y * y + z * z))
+    # It pulls at the displacement alone: at the joint that moves, which nothing stands above.
+    add(row, w + MASS * n, ww)
+    add(row, w + (MASS + 3) * n, ww)
+    add(row, w + (MASS + 5) * n, ww)
+    add3(row, w + FORCE * n, n, ww * x, ww * y, ww * z)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    _push(row, w, n, px, py, pz, ww * x, ww * y, ww * z, curved)
+
+
+@kernel
+def gather_tasks(
+    joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, curved, per_m, per_rad
+):
+    """Inertias and forces of all tasks, cost and miss."""
+    _clear(row, work, count, n, curved)
+    zero = fill(row, 0.0)
+    store(row, cost, zero)
+    store(row, miss, zero)
+    for j in range(count):
+        if joints[j * JOINT_COLUMNS + J_PRIOR]:
+            for k in range(PRIOR_INERTIA, PRIOR_PULL + 3):
+                store(row, work + (j * SLOTS + k) * n, zero)
+    for t in range(term_count):
+        k = t * TERM_COLUMNS
+        kind, joint, at, option = terms[k + T_KIND], terms[k + T_JOINT], terms[k + T_AT], terms[k + T_OPTION]
+        w, at = work + joint * SLOTS * n, data + at * n
+        if kind == POSITION:
+            _position(row, w, at, n, option != 0, curved, cost, miss, per_m)
+        elif kind == ORIENTATION:
+            _orientation(row, w, at, n, near, cost, miss, per_rad)
+        elif kind == LOOK_AT:
+            _look_at(row, w, at, n, curved, cost, miss, per_rad)
+        elif kind == CONTACT:
+            _contact(row, w, at, n, option != 0, curved, cost, miss, per_m)
+        elif kind == PRIOR:
+            up = joints[joint * JOINT_COLUMNS + J_PARENT]
+            _prior(row, w, work + up * SLOTS * n if up >= 0 else -1, q + 4 * joint * n, at, n, near, cost)
+        else:
+            _root_prior(row, w, shift, at, n, curved, cost)
