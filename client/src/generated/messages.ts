@@ -149,6 +149,109 @@ export interface SceneData {
   animations: (ClipData | MotionData)[];
 }
 
+/** A control: its place in the hierarchy (-1 for none above it), rest transform and looks, as `keypose.model.Control`. */
+export interface RigControl {
+  name: string;
+  parent: number;
+  translation: number[];
+  rotation: number[];
+  scale: number[];
+  shape: "circle" | "square" | "box" | "ball" | "diamond" | "arrows" | "pin" | "foot";
+  size_m: number;
+  offset_m: number[];
+  side: "middle" | "left" | "right";
+  spaces: string[];
+  space_attribute: string;
+  moves: ("translation" | "rotation" | "scale")[];
+}
+
+/** A number of a rig, shown beside a control; keyed as a value channel of its name. */
+export interface RigAttribute {
+  name: string;
+  control: string;
+  default: number;
+  minimum: number;
+  maximum: number;
+  choices: string[];
+  angle: boolean;
+}
+
+/** What moves some joints; ``switch`` is the attribute that goes from FK (0) to IK (1), empty where it has none. */
+export interface RigModule {
+  name: string;
+  kind: "follow" | "limb" | "spine" | "head" | "eyes" | "fingers";
+  joints: string[];
+  fk: string[];
+  ik: string[];
+  switch: string;
+}
+
+/** A character's rig; ``revision`` is another for every change of it. */
+export interface RigData {
+  name: string;
+  character: string;
+  revision: number;
+  controls: RigControl[];
+  attributes: RigAttribute[];
+  modules: RigModule[];
+}
+
+/** Rig a humanoid; where its timeline moves it already, that motion goes to keys on the controls. */
+export interface RigAdd {
+  type: "rig_add";
+  character: string;
+  fit: boolean;
+}
+
+/** Put what a character's timeline makes of its joints on its controls, as a clip of its own in that timeline. */
+export interface RigFit {
+  type: "rig_fit";
+  rig: string;
+}
+
+/** Put what the controls make of the joints into a clip of joints, which takes their place in the timeline. */
+export interface RigBake {
+  type: "rig_bake";
+  rig: string;
+}
+
+/** Take a rig off its character; ``bake`` keeps the motion, as keys on joints. */
+export interface RigRemove {
+  type: "rig_remove";
+  rig: string;
+  bake: boolean;
+}
+
+export type RigAsked = RigAdd | RigFit | RigBake | RigRemove;
+
+/** Header: what some of a rig's controls and numbers give, (B) poses at once. */
+export interface RigPoseRequest {
+  type: "rig_pose";
+  rig: string;
+  controls: ArrayRef;
+  joints: ArrayRef;
+  values: ArrayRef;
+  wish: "none" | "match_ik_to_fk" | "match_fk_to_ik" | "switch_space";
+  modules: string[];
+  control: string;
+  space: number;
+}
+
+/** Header of the answer, and of a track. */
+export interface RigPosed {
+  type: "rig_posed";
+  rig: string;
+  revision: number;
+  keyed: boolean;
+  start_s: number;
+  rate_hz: number;
+  joints: ArrayRef;
+  model_from_control: ArrayRef;
+  model_from_frame: ArrayRef;
+  controls: ArrayRef | null;
+  values: ArrayRef | null;
+}
+
 /** What a curve drives, without the curve. */
 export interface ChannelData {
   target: string;
@@ -281,6 +384,7 @@ export interface ProjectState {
   clips: ProjectClip[];
   timelines: TimelineData[];
   poses: PoseData[];
+  rigs: RigData[];
   settings: Record<string, string | number | boolean>;
   recoverable: Recoverable[];
   operators: string[];
@@ -310,6 +414,7 @@ export interface ProjectChanged {
   removed_timelines: string[];
   poses: PoseData[];
   removed_poses: string[];
+  rigs: RigData[] | null;
   characters: ProjectCharacter[] | null;
   settings: Record<string, string | number | boolean> | null;
 }

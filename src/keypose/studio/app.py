@@ -12,6 +12,9 @@ POST      ``/api/project/edit``          a change of the project, see `keypose.s
 POST      ``/api/project/operate``       an operator run on it
 GET       ``/api/project/operators``     what operators there are
 GET       ``/api/project/export/{kind}`` the project as a file; ``character`` and ``timeline`` name what of it
+POST      ``/api/project/rig``           a rig added, fitted, baked or removed, see `keypose.studio.rig_messages`
+POST      ``/api/project/rig/pose``      what poses of controls make of joints
+GET       ``/api/project/rig/track``     what a ``timeline`` makes of a ``rig``, frame by frame
 POST      ``/api/retarget``              what the retarget page asks, see `keypose.studio.retarget_messages`
 GET       ``/api/retarget/{id}/{kind}``  a retargeted motion with its character as a file
 POST      ``/api/retarget/{id}/edit``    the same into the project
@@ -40,7 +43,8 @@ from keypose.studio.crowd import crowd_events
 from keypose.studio.edit_messages import EditResult, ProjectRequest
 from keypose.studio.edit_operators import operator_specs
 from keypose.studio.edit_wire import EDIT_LIMIT_BYTES
-from keypose.studio.requests import parse_request, parse_retarget_request
+from keypose.studio.requests import parse_request, parse_retarget_request, parse_rig_request
+from keypose.studio.rigging import POSE_LIMIT_BYTES
 from keypose.studio.session import Session
 
 if TYPE_CHECKING:
@@ -182,6 +186,32 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             return PlainTextResponse(f"{error}\n", 422)
         return Response(data, media_type="application/octet-stream")
 
+    async def rig(request: Request) -> Response:
+        data = await _received(request, RETARGET_LIMIT_BYTES)
+        asked = None if data is None else parse_rig_request(data.decode("utf-8", "replace"))
+        if asked is None:
+            return PlainTextResponse("400: this is nothing that can be asked of rigs\n", 400)
+        result = await session.rigging.change(asked)
+        return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
+
+    async def rig_pose(request: Request) -> Response:
+        data = await _received(request, POSE_LIMIT_BYTES)
+        if data is None:
+            return PlainTextResponse("413: too many poses at once\n", 413)
+        try:
+            found = await session.rigging.pose(data)
+        except KeyposeError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        return Response(found, media_type="application/octet-stream")
+
+    async def rig_track(request: Request) -> Response:
+        query = request.query_params
+        try:
+            found = await session.rigging.track(query.get("rig", ""), query.get("timeline", ""))
+        except KeyposeError as error:
+            return PlainTextResponse(f"{error}\n", 422)
+        return Response(found, media_type="application/octet-stream")
+
     async def send_to_edit(request: Request) -> Response:
         result = await session.retargeting.send_to_edit(request.path_params["id"])
         return JSONResponse(dataclasses.asdict(result), 400 if result.error else 200)
@@ -198,6 +228,9 @@ def build_app(session: Session, static: Mapping[str, bytes]) -> Starlette:
             Route("/api/project/operate", operate, methods=["POST"]),
             Route("/api/project/operators", operators),
             Route("/api/project/export/{kind}", export),
+            Route("/api/project/rig", rig, methods=["POST"]),
+            Route("/api/project/rig/pose", rig_pose, methods=["POST"]),
+            Route("/api/project/rig/track", rig_track),
             Route("/api/retarget", retarget, methods=["POST"]),
             Route("/api/retarget/{id}/edit", send_to_edit, methods=["POST"]),
             Route("/api/retarget/{id}/{kind}", retargeted),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from keypose.studio.rig_messages import RigData
 from keypose.studio.scene_messages import ArrayRef, CurveData, SceneEntry
 
 # ---- the document ------------------------------------------------------------------------------------------------------
@@ -185,6 +186,7 @@ class ProjectState:
     clips: list[ProjectClip]
     timelines: list[TimelineData]
     poses: list[PoseData]
+    rigs: list[RigData]
     settings: dict[str, str | float | bool]
     recoverable: list[Recoverable]
     operators: list[str]
@@ -212,7 +214,7 @@ class ProjectChanged:
 
     ``edit`` is the id that a page gave its edit, empty for undo, redo and saving; ``label`` says what was done. A renamed
     thing is removed under the old name and there under the new. ``characters`` are all of them where any changed, else
-    null, and ``settings`` likewise.
+    null, and ``settings`` and ``rigs`` likewise.
     """
 
     type: Literal["project_changed"]
@@ -226,6 +228,7 @@ class ProjectChanged:
     removed_timelines: list[str]
     poses: list[PoseData]
     removed_poses: list[str]
+    rigs: list[RigData] | None
     characters: list[ProjectCharacter] | None
     settings: dict[str, str | float | bool] | None
 

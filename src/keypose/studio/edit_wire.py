@@ -100,7 +100,7 @@ class Operation:
 
 def read_edit(data: bytes) -> Edit:
     """An edit; raises `FormatError` naming the field that is wrong."""
-    header, fetch = _opened(data, "edit")
+    header, fetch = opened(data, "edit")
     commands = header.items("commands")
     if not 0 < len(commands) <= MOST_COMMANDS:
         header.fail(f"expected 1 to {MOST_COMMANDS} commands, got {len(commands)}")
@@ -114,7 +114,7 @@ def read_edit(data: bytes) -> Edit:
 
 def read_operation(data: bytes) -> Operation:
     """A request to run an operator; raises `FormatError` naming the field that is wrong."""
-    header, fetch = _opened(data, "operate")
+    header, fetch = opened(data, "operate")
     keys: dict[Channel, Array | None] = {}
     for each in header.items("channels"):
         chosen = each.get("keys")
@@ -136,7 +136,8 @@ def read_operation(data: bytes) -> Operation:
     )
 
 
-def _opened(data: bytes, kind: str) -> tuple[Json, values.Fetch]:
+def opened(data: bytes, kind: str) -> tuple[Json, values.Fetch]:
+    """Header and arrays of a page's container; raises `FormatError` where it is damaged or of another kind."""
     fields, body = unpack(data)
     try:
         json.dumps(fields, ensure_ascii=False).encode()

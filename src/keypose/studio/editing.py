@@ -18,7 +18,7 @@ from keypose.errors import FormatError, KeyposeError, UnknownName
 from keypose.io.native import document_bytes
 from keypose.model import Character, Clip, Document, Motion, Scene
 from keypose.project.commands import AddCharacter, Command, RemoveCharacter, SetCurves, import_clip
-from keypose.project.document import check_name, difference
+from keypose.project.document import Difference, check_name, difference
 from keypose.project.workspace import UNTITLED, NotSaved, Workspace
 from keypose.rig import perform
 from keypose.studio import edit_messages as edits
@@ -219,19 +219,20 @@ class Editing:
         after = self.workspace.document
         body = Body()
 
-        def compare() -> tuple[bool, bool, dict[str, Any]]:
+        def compare() -> tuple[Difference, dict[str, Any]]:
             found = difference(before, after)
-            return found.characters, found.settings, difference_fields(found, storing(body))
+            return found, difference_fields(found, storing(body))
 
-        characters, settings, fields = await asyncio.to_thread(compare)
+        found, fields = await asyncio.to_thread(compare)
         changed = edits.ProjectChanged(
             type="project_changed",
             status=self._status(),
             edit=id,
             label=label,
             cause=cause,
-            characters=await self._characters() if characters else None,
-            settings=dict(after.settings) if settings else None,
+            rigs=self._session.rigging.data(after) if found.rigs or found.removed_rigs else None,
+            characters=await self._characters() if found.characters else None,
+            settings=dict(after.settings) if found.settings else None,
             **fields,
         )
         for outbox in self._watchers:
@@ -326,6 +327,7 @@ class Editing:
             type="project_state",
             status=self._status(),
             characters=await self._characters(),
+            rigs=self._session.rigging.data(self.workspace.document),
             recoverable=recoverable,
             operators=[spec.name for spec in await asyncio.to_thread(operator_specs)],
             exports=exports(),

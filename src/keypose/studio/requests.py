@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from keypose.studio.messages import ClientMessage, CrowdRequest
 from keypose.studio.retarget_messages import RetargetAsked
+from keypose.studio.rig_messages import RigAsked
 
 
 def parse_request(text: str) -> ClientMessage | None:
@@ -25,6 +26,11 @@ def parse_crowd_request(text: str) -> CrowdRequest | None:
 def parse_retarget_request(text: str) -> RetargetAsked | None:
     """The same for what the retarget page asks."""
     return _parsed(text, RetargetAsked)
+
+
+def parse_rig_request(text: str) -> RigAsked | None:
+    """The same for what the edit page asks to change of rigs."""
+    return _parsed(text, RigAsked)
 
 
 def _parsed(text: str, kinds: Any) -> Any:

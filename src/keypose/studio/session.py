@@ -19,6 +19,7 @@ from keypose.studio.editing import Editing
 from keypose.studio.outbox import Outbox
 from keypose.studio.payload import encode
 from keypose.studio.retarget import Retargeting
+from keypose.studio.rigging import Rigging
 from keypose.studio.uploads import open_upload
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ class Session:
         self._scenes: dict[str, tuple[messages.SceneEntry, bytes, Scene]] = {}
         self.editing = Editing(self, workspace, confined)
         self.retargeting = Retargeting(self)
+        self.rigging = Rigging(self)
         self._expected = 0
         self._ids = itertools.count(1)
         self._jobs = itertools.count(1)

@@ -11,7 +11,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from keypose.studio import edit_messages, messages, retarget_messages, scene_messages
+from keypose.studio import edit_messages, messages, retarget_messages, rig_messages, scene_messages
 
 _PLAIN = {str: "string", int: "number", float: "number", bool: "boolean", type(None): "null"}
 
@@ -24,6 +24,7 @@ _UNIONS = (
     "ProjectRequest",
     "EditCommand",
     "RetargetAsked",
+    "RigAsked",
 )
 
 
@@ -53,7 +54,8 @@ def generate() -> str:
         "",
         f"export const PROTOCOL = {messages.PROTOCOL};",
     ]
-    for name, value in (vars(scene_messages) | vars(edit_messages) | vars(messages) | vars(retarget_messages)).items():
+    modules = scene_messages, rig_messages, edit_messages, messages, retarget_messages
+    for name, value in {name: value for module in modules for name, value in vars(module).items()}.items():
         if dataclasses.is_dataclass(value) and isinstance(value, type):
             hints = typing.get_type_hints(value)
             lines += ["", f"/** {(value.__doc__ or '').strip().splitlines()[0]} */", f"export interface {name} {{"]
