@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from studio_scenes import Start, arm_scene
 from test_server import request, with_token
+from typer.testing import CliRunner
 
 from keypose import io, samples
 from keypose.analysis import find_roles
 from keypose.analysis.roles import ROLES
+from keypose.cli.app import app
 from keypose.evaluate import bake, sample_timeline, world
 from keypose.model import Motion
 from keypose.project.file import from_bytes
@@ -140,9 +142,9 @@ def _loaded(data: bytes) -> Any:
         return io.load(path)
 
 
-def _motion(scene: Any) -> Motion:
+def _motion(scene: Any, rate_hz: float = 60.0) -> Motion:
     found = scene.animations[0]
-    return found if isinstance(found, Motion) else bake(found, scene.character.skeleton, 60.0)
+    return found if isinstance(found, Motion) else bake(found, scene.character.skeleton, rate_hz)
 
 
 def test_hands_are_kept_where_that_is_asked(server: StudioServer) -> None:
@@ -200,10 +202,17 @@ def test_it_goes_into_the_project_as_one_step(server: StudioServer) -> None:
 
 
 @pytest.mark.data
-def test_a_real_pair(start: Start, data_dir: Path) -> None:
-    own = data_dir / "asf_amc" / "cmu_02"
-    server = start(("02_01.amc", io.load(own / "02_01.amc")), ("arm.glb", arm_scene()))
-    done = ask(server, **{**PLAIN, "source": "s1"})
+def test_a_real_pair_as_the_command_makes_it(start: Start, data_dir: Path, tmp_path: Path) -> None:
+    take, cast = data_dir / "asf_amc" / "cmu_02" / "02_01.amc", data_dir / "fbx" / "ozz_pab" / "arnaud.fbx"
+    server = start(("02_01.amc", io.load(take)), ("arnaud.fbx", io.load(cast)))
+    done = ask(server, **{**PLAIN, "source": "s1", "target": "s2"})
     assert done["error"] == ""
     assert done["slide_cm_s"] < 1.0 < done["loose_slide_cm_s"]
     assert done["mean_direction_deg"] < 8.0
+    written = tmp_path / "made.glb"
+    assert CliRunner().invoke(app, ["retarget", str(take), "--to", str(cast), str(written)]).exit_code == 0
+    status, _, data = request(server, "GET", f"/api/retarget/{done['id']}/glb", headers=with_token(server))
+    assert status == 200
+    ours, theirs = _loaded(data), io.load(written)
+    places = [np.asarray(world(s.character.skeleton, _motion(s, 120.0).pose))[..., :3, 3] for s in (ours, theirs)]
+    assert np.abs(places[0] - places[1]).max() < 1e-5

@@ -34,11 +34,11 @@ const ASIDE: Record<(typeof LIMBS)[number], [number, number]> = {
 };
 // the hand is drawn larger than life, or its fifteen joints could not be hit
 const FAN: Record<(typeof FINGERS)[number], { turn: number; at: [number, number, number] }> = {
-  thumb: { turn: -70, at: [21, 35, 48] },
-  index: { turn: -27, at: [30, 46, 60] },
-  middle: { turn: -5, at: [32, 50, 66] },
-  ring: { turn: 15, at: [31, 47, 62] },
-  little: { turn: 36, at: [29, 43, 56] },
+  thumb: { turn: -76, at: [21, 35, 48] },
+  index: { turn: -32, at: [32, 47, 61] },
+  middle: { turn: -7, at: [33, 51, 67] },
+  ring: { turn: 17, at: [32, 48, 63] },
+  little: { turn: 41, at: [30, 44, 57] },
 };
 
 function figure(): Spot[] {

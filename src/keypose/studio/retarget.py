@@ -156,8 +156,8 @@ class Retargeting:
         motion = _as_motion(_animation(source, asked.animation), own, asked.rate_hz)
 
         roles = _roles(own, asked.source_roles), _roles(other, asked.target_roles)
-        source_reference = _reference(own, roles[0], motion, asked.source_reference, asked.reference_s)
-        target_reference = _reference(other, roles[1], None, asked.target_reference, 0.0)
+        source_reference = _source_reference(own, motion, asked.source_reference, asked.reference_s)
+        target_reference, said = _target_reference(other, roles[1], asked.target_reference)
 
         def run(plant: PlantOptions | None, hands: HandOptions | None) -> RetargetResult:
             return retarget(
@@ -202,7 +202,7 @@ class Retargeting:
             hands_off_cm=report.hands_off_cm,
             feet=found_feet(done, motion, result),
             exports=_kinds(),
-            notes=list(done.notes),
+            notes=[*done.notes, *said],
         )
 
     def _keep(self, scene: Scene, name: str) -> _Kept:
@@ -300,19 +300,26 @@ def _as_motion(animation: Motion | Clip, character: Character, rate_hz: float | 
     return motion if rate_hz is None or rate_hz == motion.rate_hz else resample(motion, rate_hz)
 
 
-def _reference(
-    character: Character, roles: RoleMap | None, motion: Motion | None, kind: str, time_s: float
-) -> Pose | None:
+def _source_reference(character: Character, motion: Motion, kind: str, time_s: float) -> Pose | None:
     """The pose that is taken for an upright stand; None leaves it to retargeting."""
-    from keypose.retarget import bind_stand
-
+    if kind == "auto":
+        return None
     if kind == "rest":
         return character.skeleton.rest
-    if kind == "auto" or motion is None:
-        return None if roles is None or "hips" not in roles.roles else bind_stand(character, roles.roles)
     frame = int(np.clip(round((time_s - motion.start_s) * motion.rate_hz), 0, motion.frame_count - 1))
     pose = motion.pose.broadcast()
     return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame])
+
+
+def _target_reference(character: Character, roles: RoleMap | None, kind: str) -> tuple[Pose | None, tuple[str, ...]]:
+    """The same of the target, and what is to be said about it."""
+    from keypose.retarget import bind_stand
+
+    if kind == "rest":
+        return character.skeleton.rest, ()
+    bound = None if roles is None or roles.missing else bind_stand(character, roles.roles)
+    said = "target: the rest pose is no upright stand; the pose in which the skin was bound is taken for one"
+    return bound, () if bound is None else (said,)
 
 
 def _own_motion(scene: Scene, character: Character) -> Motion | None:
