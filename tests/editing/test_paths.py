@@ -25,7 +25,7 @@ from keypose.editing.paths import (
 from keypose.editing.reach import found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import world
-from keypose.model import Event
+from keypose.model import Event, Pose
 
 
 def places(skeleton, motion):
@@ -237,3 +237,22 @@ def test_what_stands_has_no_path_to_bend():
         bend_path(still, 1.0)
     with pytest.raises(ShapeError, match="385 points to match"):
         put_on_path(idle, scene.character.skeleton, still)
+
+
+def test_a_contact_keeps_one_place_also_far_from_the_origin(walk):
+    """Rounding at ten metres is more than at one; a contact that it would break in two must not get two places."""
+    motion, skeleton, roles = walk
+    pose = motion.pose.broadcast()
+    far = np.array(pose.translations)
+    far[:, 0] += (3.0, 0.0, 9.0)
+    motion = motion.with_pose(Pose(far, pose.rotations, pose.scales))
+    path = extract_path(motion, skeleton, roles=roles)
+    after = places(skeleton, put_on_path(motion, skeleton, bend_path(path, 3.0), old=path, roles=roles).motion)
+    before = places(skeleton, motion)
+    for side in ("left", "right"):
+        ball = roles[f"{side}_toes"]
+        still = np.linalg.norm(np.diff(before[:, ball], axis=0), axis=-1) < 1e-4
+        runs = np.split(np.flatnonzero(still), np.flatnonzero(np.diff(np.flatnonzero(still)) > 1) + 1)
+        assert len(runs) > 1
+        for run in runs:
+            assert np.ptp(after[run, ball], axis=0).max() < 2e-3

@@ -378,12 +378,24 @@ def _yaw(angle: Floats) -> Floats:
 
 
 def _contacts(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> dict[str, np.ndarray]:
-    from keypose.analysis import foot_contacts
+    from keypose.analysis.contacts import foot_contacts, foot_points
 
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
     hip, knee, foot = (places[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
     leg = float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
-    return foot_contacts(roles, places, motion.rate_hz, leg)
+    found = foot_contacts(roles, places, motion.rate_hz, leg)
+    points = foot_points(roles, places, found)
+    return {name: _joined(flags, points[name], motion.rate_hz) for name, flags in found.items()}
+
+
+def _joined(flags: np.ndarray, track: Floats, rate_hz: float) -> np.ndarray:
+    """Contacts (T,) without short gaps over which the point went nowhere: on another path each part would get a place of its own."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    joined = flags.copy()
+    for stop, start in zip(edges[1:-1:2], edges[2::2], strict=True):
+        if start - stop <= 0.1 * rate_hz and np.linalg.norm(track[start] - track[stop - 1]) < 0.01:
+            joined[stop:start] = True
+    return joined
 
 
 def _planted(
