@@ -179,7 +179,7 @@ export interface RigAttribute {
 /** What moves some joints; ``switch`` is the attribute that goes from FK (0) to IK (1), empty where it has none. */
 export interface RigModule {
   name: string;
-  kind: "follow" | "limb" | "spine" | "head" | "eyes" | "fingers";
+  kind: string;
   joints: string[];
   fk: string[];
   ik: string[];

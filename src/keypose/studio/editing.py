@@ -11,16 +11,17 @@ import importlib.util
 import itertools
 import os
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from keypose.errors import FormatError, KeyposeError, UnknownName
 from keypose.io.native import document_bytes
-from keypose.model import Character, Clip, Document, Motion, Scene
+from keypose.model import Character, Clip, Document, Motion, Rig, Scene
 from keypose.project.commands import AddCharacter, Command, RemoveCharacter, SetCurves, import_clip
 from keypose.project.document import Difference, check_name, difference
 from keypose.project.workspace import UNTITLED, NotSaved, Workspace
-from keypose.rig import perform
+from keypose.rig import perform, rigged_skeleton
 from keypose.studio import edit_messages as edits
 from keypose.studio import messages
 from keypose.studio.container import Body
@@ -63,8 +64,8 @@ class Editing:
         self._turn = asyncio.Lock()  # one change after the other
         self._numbers = itertools.count(1)
         self._jobs = itertools.count(1)
-        # (skeleton, parts) -> entry; the character itself is kept, so that its ids stay its own
-        self._shown: dict[tuple[int, int], tuple[Character, messages.SceneEntry, bytes]] = {}
+        # (skeleton, parts, controls) -> entry; the things themselves are kept, so that their ids stay their own
+        self._shown: dict[tuple[int, int, int], tuple[Any, messages.SceneEntry, bytes]] = {}
 
     # ---- what pages see ----------------------------------------------------------------------------------------------
 
@@ -231,7 +232,7 @@ class Editing:
             label=label,
             cause=cause,
             rigs=self._session.rigging.data(after) if found.rigs or found.removed_rigs else None,
-            characters=await self._characters() if found.characters else None,
+            characters=await self._characters() if found.characters or found.rigs or found.removed_rigs else None,
             settings=dict(after.settings) if found.settings else None,
             **fields,
         )
@@ -310,7 +311,7 @@ class Editing:
     async def _enter(self) -> None:
         """Another project is open: every page gets all of it."""
         used = {(id(who.skeleton), id(who.parts)) for who in self.workspace.document.characters.values()}
-        self._shown = {key: shown for key, shown in self._shown.items() if key in used}
+        self._shown = {key: shown for key, shown in self._shown.items() if key[:2] in used}
         await self._send_state(self._watchers)
 
     def _allow(self, path: str) -> None:
@@ -350,19 +351,24 @@ class Editing:
     async def _characters(self) -> list[edits.ProjectCharacter]:
         document = self.workspace.document
         return [
-            edits.ProjectCharacter(name, await self._entry(character), document.performs.get(name, ""))
+            edits.ProjectCharacter(
+                name, await self._entry(character, document.rig_of(name)), document.performs.get(name, "")
+            )
             for name, character in document.characters.items()
         ]
 
-    async def _entry(self, character: Character) -> messages.SceneEntry:
-        """The scene that shows a character; made once for its mesh, whatever it is called."""
-        key = id(character.skeleton), id(character.parts)
+    async def _entry(self, character: Character, rig: Rig | None = None) -> messages.SceneEntry:
+        """The scene that shows a character; made once for its mesh and controls, whatever it is called.
+
+        A rig's controls follow the joints in its skeleton: to a page they are joints that have a shape of their own.
+        """
+        controls = None if rig is None else rig.controls
+        key = id(character.skeleton), id(character.parts), id(controls)
         if key not in self._shown:
             number = f"c{next(self._numbers)}"
-            data = await asyncio.to_thread(
-                encode, Scene((character,), format="keypose"), id=number, name=character.name
-            )
-            self._shown[key] = character, messages.SceneEntry(number, character.name, len(data)), data
+            shown = character if rig is None else replace(character, skeleton=rigged_skeleton(rig, character.skeleton))
+            data = await asyncio.to_thread(encode, Scene((shown,), format="keypose"), id=number, name=character.name)
+            self._shown[key] = (character, controls), messages.SceneEntry(number, character.name, len(data)), data
         return self._shown[key][1]
 
 

@@ -49,7 +49,7 @@ class RigModule:
     """What moves some joints; ``switch`` is the attribute that goes from FK (0) to IK (1), empty where it has none."""
 
     name: str
-    kind: Literal["follow", "limb", "spine", "head", "eyes", "fingers"]
+    kind: str
     joints: list[str]
     fk: list[str]
     ik: list[str]

@@ -17,14 +17,11 @@ from keypose.errors import KeyposeError, UnknownName
 from keypose.evaluate import bake_timeline
 from keypose.evaluate.performing import BASE_LAYER
 from keypose.io.json_values import Json
+from keypose.io.native_rigs import MODULES
 from keypose.model import (
     Character,
     Clip,
     Document,
-    EyesModule,
-    FingersModule,
-    FollowModule,
-    HeadModule,
     Layer,
     LimbModule,
     Module,
@@ -61,14 +58,7 @@ if TYPE_CHECKING:
 POSE_LIMIT_BYTES = 64 * 1024 * 1024
 MOST_TRACK_FRAMES = 20_000
 
-_KINDS: dict[type, str] = {
-    FollowModule: "follow",
-    LimbModule: "limb",
-    SpineModule: "spine",
-    HeadModule: "head",
-    EyesModule: "eyes",
-    FingersModule: "fingers",
-}
+_KINDS = {module: kind for kind, module in MODULES.items()}
 
 
 def rig_data(rig: Rig, revision: int) -> r.RigData:
@@ -108,7 +98,7 @@ def _module(module: Module, known: set[str]) -> r.RigModule:
     ik = [c for c in module_controls(module) if c not in fk] if has_switch else []
     return r.RigModule(
         module.name,
-        _KINDS[type(module)],  # type: ignore[arg-type]
+        _KINDS[type(module)],
         list(module_joints(module)),
         fk,
         ik,
