@@ -46,6 +46,13 @@ Remote = Annotated[
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the URL.")]
 
 
+class Theme(StrEnum):
+    """The look of the picture."""
+
+    light = "light"
+    dark = "dark"
+
+
 def _examples(*lines: str) -> str:
     return "[bold]Examples[/bold]\n\n" + "\n\n".join(f"[dim]$[/dim] {line}" for line in lines)
 
@@ -155,6 +162,8 @@ def info(
         "keypose check character.glb --json | jq .findings",
         "keypose check take.bvh --strict [dim]# exit code 1 where anything is wrong[/dim]",
         "keypose check take.bvh --quality --json [dim]# skating feet, pops, loops in figures[/dim]",
+        "keypose check take.bvh --fail-on 'skate>2,sink>1' [dim]# exit code 1; also limits.toml[/dim]",
+        "keypose check take.bvh --plot quality.png [dim]# contacts, sliding, pops over time[/dim]",
     )
 )
 def check(
@@ -165,8 +174,17 @@ def check(
         bool, typer.Option("--quality", help="Measure the motions: sliding feet, pops, overlaps, loops.")
     ] = False,
     against: Annotated[
-        str | None, typer.Option("--against", metavar="FILE", help="With --quality: compare with another take.")
+        str | None,
+        typer.Option("--against", metavar="FILE", help="Compare with another take, of this skeleton or of another."),
     ] = None,
+    fail_on: Annotated[
+        list[str] | None,
+        typer.Option("--fail-on", metavar="DEMANDS", help="skate>2,sink>1 or a .toml or .json: exit code 1 if so."),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="PNG", help="Draw the first motion's quality over time.")
+    ] = None,
+    theme: Annotated[Theme, typer.Option("--theme", help="Light or dark, for --plot.")] = Theme.light,
     clip: ClipOption = None,
     unit: UnitOption = None,
     up: UpOption = None,
@@ -174,12 +192,14 @@ def check(
     option: FormatOptions = None,
 ) -> None:
     """Say how a file was understood (unit, axes, facing, rest pose, size, rates), and what is wrong with it."""
-    from keypose.cli.check import print_check, print_quality
+    from keypose.cli.check import QualityAsked, print_check, print_quality
 
-    if quality or against is not None:
-        print_quality(
-            file, as_json=json, against=against, clip=clip, unit=unit, up=up, skeleton=skeleton, options=option or ()
-        )
+    if quality or against is not None or fail_on or plot is not None:
+        asked = QualityAsked(against, fail_on or (), plot, theme.value)
+        if not print_quality(
+            file, asked, as_json=json, clip=clip, unit=unit, up=up, skeleton=skeleton, options=option or ()
+        ):
+            raise typer.Exit(1)
         return
     if not print_check(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ()) and strict:
         raise typer.Exit(1)
@@ -607,13 +627,6 @@ def skin(
         options=option or (),
         quiet=quiet,
     )
-
-
-class Theme(StrEnum):
-    """The look of the picture."""
-
-    light = "light"
-    dark = "dark"
 
 
 class Backend(StrEnum):

@@ -1,18 +1,23 @@
-"""`keypose check`: the doctor."""
+"""`keypose check`: the doctor, and the quality of motions."""
 
 from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from keypose.cli.console import console
 from keypose.cli.inputs import open_input
 from keypose.errors import FormatError
-from keypose.model import Motion, Scene, Skeleton
+from keypose.model import Motion, Pose, Scene, Skeleton
+
+if TYPE_CHECKING:
+    from keypose.analysis import Quality
 
 _SIGNS = {
     "warning": "[red]warning[/red]",
@@ -63,45 +68,139 @@ def print_check(
     return not count
 
 
+SCHEMA = "keypose.quality/1"
+
+
+@dataclass(frozen=True, slots=True)
+class QualityAsked:
+    """What `keypose check --quality` is asked for: another take to compare with, demands, a picture, a theme."""
+
+    against: str | None = None
+    fail_on: Sequence[str] = ()
+    plot: Path | None = None
+    theme: str = "light"
+
+
 def print_quality(
     reference: str,
+    asked: QualityAsked,
     *,
     as_json: bool,
-    against: str | None,
     clip: str | None,
     unit: str | None,
     up: str | None,
     skeleton: str | None = None,
     options: Sequence[str] = (),
-) -> None:
-    """Print the figures of a file's motions, or of one beside another take.
+) -> bool:
+    """Print the figures of a file's motions, or of one beside another take; whether all demands are met.
 
     Raises:
         FormatError: where a file has no motion of a skeleton.
+        UnknownName, ShapeError: where a demand cannot be read.
     """
-    from keypose.analysis import compare_takes, measure_quality
+    from keypose.analysis import find_roles, measure_quality
+    from keypose.analysis.quality_demands import read_demands, unmet
 
+    demands = [d for text in asked.fail_on for d in read_demands(text)]
+    if asked.plot is not None and asked.plot.suffix.lower() != ".png":
+        raise FormatError("expected a .png for the picture", path=asked.plot)
     scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
     body, motions = _motions(scene, reference, clip)
-    other = None if against is None else _motions(open_input(against, unit=unit, up=up), against, clip)[1][0]
+    other = None if asked.against is None else open_input(asked.against, unit=unit, up=up)
+    known = scene.character.roles
+    roles = dict(find_roles(body, known=known or None).roles)
     rows: list[dict[str, Any]] = []
     out = console()
+    failed = 0
     for motion in motions:
-        quality = measure_quality(motion, body, scene.character.roles or None)
-        difference = None if other is None else compare_takes(motion, other, body)
+        quality = measure_quality(motion, body, roles, stand=_stand(body, roles, motion))
+        row = quality_json(motion.name, quality)
+        beside = (
+            [] if other is None or asked.against is None else _compared(motion, body, roles, other, asked.against, row)
+        )
+        lacking = unmet(row, demands)
+        failed += len(lacking)
+        rows.append({**row, "failed": list(lacking)} if demands else row)
+        if asked.plot is not None and motion is motions[0]:
+            _draw(asked, motion, body, roles, quality, reference)
         if as_json:
-            row = {"name": motion.name, **asdict(quality)}
-            rows.append(row if difference is None else {**row, "difference": asdict(difference)})
             continue
         from rich.markup import escape
 
         out.print(
             f"[bold]{escape(motion.name or reference)}[/bold]  [dim]{quality.frames} frames, {quality.rate_hz:g} Hz[/dim]"
         )
-        for line in (*quality.lines(), *(difference.lines() if difference is not None else ())):
+        for line in (*quality.lines(), *beside):
             out.print(f"  {escape(line)}")
+        for line in lacking:
+            out.print(f"  [red]failed[/red] {escape(line)}")
     if as_json:
-        print(json.dumps({"file": reference, "quality": rows}, indent=1, ensure_ascii=False))
+        print(json.dumps({"schema": SCHEMA, "file": reference, "quality": rows}, indent=1, ensure_ascii=False))
+    elif asked.plot is not None:
+        out.print(f"[green]wrote[/green] {asked.plot}")
+    return not failed
+
+
+def quality_json(name: str, quality: Quality) -> dict[str, Any]:
+    """A motion's figures as they are printed with ``--json``; docs/check.md describes every field."""
+    row: dict[str, Any] = {"name": name, **asdict(quality)}
+    row["pops"] = [{"frame": f, "joint": j, "times": t} for f, j, t in quality.pops]
+    row["limit_breaks"] = [{"joint": j, "degrees": d, "frame": f, "share": s} for j, d, f, s in quality.limit_breaks]
+    return row
+
+
+def _compared(
+    motion: Motion, body: Skeleton, roles: Mapping[str, int], other: Scene, against: str, row: dict[str, Any]
+) -> list[str]:
+    """A motion beside another take: joint by joint on one skeleton, else by the directions of bones."""
+    from keypose.analysis import compare_takes, find_roles, foot_contacts
+    from keypose.analysis.quality_feet import leg_length
+    from keypose.evaluate import match_report, world_rotations_positions
+    from keypose.retarget import compare_with_reference
+
+    theirs, motions = _motions(other, against, None)
+    take = motions[0]
+    found = match_report(take, body)
+    if len(found.sources) * 2 >= len(found.sources) + len(found.unused):
+        difference = compare_takes(motion, take, body)
+        row["difference"] = asdict(difference)
+        return difference.lines()
+    their_roles = dict(find_roles(theirs, known=other.character.roles or None).roles)
+    places = np.asarray(world_rotations_positions(body, motion.pose.broadcast())[1], np.float64)
+    legs = all(f"{s}_{p}" in roles for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot"))
+    touching = foot_contacts(roles, places, motion.rate_hz, leg_length(roles, places)) if legs else {}
+    report = compare_with_reference(motion, body, roles, take, theirs, their_roles, touching)
+    row["direction"] = asdict(report)
+    return report.lines()
+
+
+def _stand(body: Skeleton, roles: Mapping[str, int], motion: Motion) -> Pose | None:
+    """An upright pose of the skeleton where its rest pose is none; None where nothing is known of it."""
+    from keypose.errors import KeyposeError
+    from keypose.retarget import find_stand
+
+    try:
+        return find_stand(body, roles, motion)[0]
+    except KeyposeError:
+        return None
+
+
+def _draw(
+    asked: QualityAsked, motion: Motion, body: Skeleton, roles: Mapping[str, int], quality: Quality, reference: str
+) -> None:
+    from PIL import Image
+
+    from keypose.analysis.quality import quality_tracks
+    from keypose.analysis.quality_chart import draw_quality
+    from keypose.io.atomic import replacing
+
+    if asked.plot is None:
+        return
+    picture = draw_quality(
+        quality_tracks(motion, body, roles), quality, motion.name or Path(reference).stem, theme=asked.theme
+    )
+    with replacing(asked.plot) as path:
+        Image.fromarray(picture).save(path, format="PNG")
 
 
 def _motions(scene: Scene, reference: str, clip: str | None) -> tuple[Skeleton, list[Motion]]:
