@@ -47,7 +47,7 @@ def test_the_public_names() -> None:
         "FingersModule", "FollowModule", "FootPivots", "ForcePlate", "HeadModule", "Image", "Interpolation", "Layer", "LayerMode",
         "LimbModule", "Marker", "Markers", "Material", "Mesh", "Module", "MorphSet", "Motion", "Part", "Placement", "Pose",
         "Property", "ROTATION_ONLY", "Rig", "Scene", "Signals", "Skeleton", "Skin", "SkinningMethod", "Space", "SpineModule",
-        "StoredPose", "Tangent", "Tier", "Timeline", "module_controls", "module_joints",
+        "StoredPose", "Tangent", "Tier", "Timeline", "Twist", "TwistModule", "module_controls", "module_joints",
     ]  # fmt: skip
     assert all(hasattr(model, name) for name in model.__all__)
 

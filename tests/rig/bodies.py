@@ -58,6 +58,10 @@ def random_controls(rig: Rig, rng: np.random.Generator, batch: tuple[int, ...] =
     )
 
 
+def free_joints(rig: Rig, skeleton: Skeleton) -> list[int]:
+    return [j for j, name in enumerate(skeleton.names) if name not in rig.joints]
+
+
 def places(skeleton: Skeleton, pose: Pose) -> np.ndarray:
     return np.asarray(evaluate.world_rotations_positions(skeleton, pose.broadcast())[1], np.float64)
 

@@ -159,6 +159,7 @@ def test_export_bakes_what_the_rig_makes_of_layers(tmp_path: Path) -> None:
             Channel("hand_ik.L", Property.TRANSLATION): Curve([0.0, 1.0], [rest.translations[hand], far]),
             Channel("arm.L.ik", Property.VALUE): Curve([0.0, 0.5], [[0.0], [1.0]]),
             Channel("pelvis", Property.TRANSLATION, 1): Curve([0.0, 1.0], [[0.9], [0.8]]),
+            Channel("twists.follow", Property.VALUE): Curve([0.0], [[0.0]]),
             Channel("LeftArmTwist", Property.ROTATION): Curve(
                 [0.0], [[np.cos(0.1), np.sin(0.1), 0, 0]], kind=CurveKind.ROTATION
             ),

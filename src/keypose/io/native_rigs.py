@@ -46,6 +46,8 @@ from keypose.model import (
     Skeleton,
     Space,
     SpineModule,
+    Twist,
+    TwistModule,
 )
 
 MODULES: Mapping[str, type[Any]] = {
@@ -55,6 +57,7 @@ MODULES: Mapping[str, type[Any]] = {
     "head": HeadModule,
     "eyes": EyesModule,
     "fingers": FingersModule,
+    "twist": TwistModule,
 }
 _KINDS = {module: kind for kind, module in MODULES.items()}
 
@@ -108,6 +111,8 @@ def _module_json(module: Module) -> dict[str, Any]:
     fields: dict[str, Any] = {"kind": _KINDS[type(module)], "name": module.name}
     if isinstance(module, FingersModule):
         return fields | {"hand": module.hand, "fingers": [_finger_json(finger) for finger in module.fingers]}
+    if isinstance(module, TwistModule):
+        return fields | {"twists": [_twist_json(twist) for twist in module.twists]}
     fields |= {"joints": list(module.joints), "controls": list(module.controls)}
     if isinstance(module, FollowModule):
         return fields | {"carrier": module.carrier}
@@ -129,6 +134,11 @@ def _finger_json(finger: Finger) -> dict[str, Any]:
         "bends": list(finger.bends),
         "spread": float(finger.spread),
     }
+
+
+def _twist_json(twist: Twist) -> dict[str, Any]:
+    share = float(twist.share)
+    return {"joint": twist.joint, "bone": twist.bone, "end": twist.end, "share": share, "axis": list(twist.axis)}
 
 
 def _foot_json(foot: FootPivots) -> dict[str, Any]:
@@ -243,6 +253,7 @@ _READERS: Mapping[str, Callable[[Json], Module]] = {
     "fingers": lambda i: FingersModule(
         i.text("name"), i.text("hand"), tuple(_read_finger(each) for each in i.items("fingers"))
     ),
+    "twist": lambda i: TwistModule(i.text("name"), tuple(_read_twist(each) for each in i.items("twists"))),
 }
 
 
@@ -255,6 +266,19 @@ def _read_finger(item: Json) -> Finger:
             _texts(item, "controls"),
             item.numbers("bends", None) or (),
             item.need("spread").as_number(),
+        ),
+    )
+
+
+def _read_twist(item: Json) -> Twist:
+    return built(
+        item,
+        lambda: Twist(
+            item.text("joint"),
+            item.text("bone"),
+            item.text("end"),
+            item.need("share").as_number(),
+            _vector(item, "axis"),
         ),
     )
 

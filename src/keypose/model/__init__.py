@@ -41,6 +41,8 @@ from keypose.model.rig import (
     Rig,
     Space,
     SpineModule,
+    Twist,
+    TwistModule,
     module_controls,
     module_joints,
 )
@@ -100,6 +102,8 @@ __all__ = [
     "Tangent",
     "Tier",
     "Timeline",
+    "Twist",
+    "TwistModule",
     "module_controls",
     "module_joints",
 ]

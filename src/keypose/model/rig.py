@@ -289,7 +289,52 @@ class FingersModule:
         return f"{self.name}.{what}"
 
 
-Module: TypeAlias = FollowModule | LimbModule | SpineModule | HeadModule | EyesModule | FingersModule
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """A joint that takes a share (0..1) of the roll along a bone.
+
+    The roll is that of ``end`` beyond the bone (a hand on its forearm), or, where ``end`` is empty, of the bone in its own socket.
+    """
+
+    joint: str
+    bone: str
+    end: str = ""
+    share: float = 0.5
+    axis: Vector = (0.0, 1.0, 0.0)
+    """Along the bone, in its joint's own axes."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axis", _vector(self.axis, f"axis of twist '{self.joint}'"))
+        if not any(self.axis) or not 0 <= self.share <= 1:
+            raise ShapeError(f"twist '{self.joint}': expected an axis with a direction and a share of 0..1")
+
+
+@dataclass(frozen=True, slots=True)
+class TwistModule:
+    """Joints of twist, which follow by the attribute ``NAME.follow`` (0..1); at 0 they stay as joint channels put them."""
+
+    name: str
+    twists: tuple[Twist, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "twists", tuple(self.twists))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints that it turns."""
+        return tuple(twist.joint for twist in self.twists)
+
+    @property
+    def controls(self) -> tuple[str, ...]:
+        """It has none."""
+        return ()
+
+    def attribute(self, what: str) -> str:
+        """The name of one of its attributes."""
+        return f"{self.name}.{what}"
+
+
+Module: TypeAlias = FollowModule | LimbModule | SpineModule | HeadModule | EyesModule | FingersModule | TwistModule
 
 
 # ---- constraints and drivers -------------------------------------------------------------------------------------------

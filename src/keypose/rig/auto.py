@@ -30,6 +30,7 @@ from keypose.rig.auto_limbs import SIDE_LABELS, rig_arm, rig_leg, spaces_of
 from keypose.rig.body import Body, Sheet, read_body
 from keypose.rig.limbs import is_bent_aside
 from keypose.rig.plan import plan_of
+from keypose.rig.twists import find_twists
 
 _PLACE = (Property.TRANSLATION,)
 
@@ -58,6 +59,10 @@ def auto_rig(
     for side in SIDES:
         rig_arm(sheet, body, side, modules)
         rig_leg(sheet, body, side, modules)
+    twists = find_twists(body)
+    if twists is not None:
+        modules.append(twists)
+        sheet.attribute(twists.attribute("follow"), sheet.named("root"), default=1.0)
     called = "" if character is None else character.name
     rig = Rig(
         name or called or "rig",

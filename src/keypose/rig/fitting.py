@@ -27,6 +27,7 @@ from keypose.model import (
     Rig,
     Skeleton,
     SpineModule,
+    TwistModule,
     module_joints,
 )
 from keypose.rig.frames import inverse, lengths, rotation, to_quat
@@ -259,7 +260,9 @@ def _difference(
 
 def _passive(rig: Rig, skeleton: Skeleton, base: Pose) -> Pose:
     """The base pose of a fitted clip: the motion where no module moves a joint, and the lengths that IK takes from it."""
-    moved = {skeleton.index(j) for m in rig.modules if not isinstance(m, EyesModule) for j in module_joints(m)}
+    moved = {
+        skeleton.index(j) for m in rig.modules if not isinstance(m, (EyesModule, TwistModule)) for j in module_joints(m)
+    }
     reaching = {skeleton.index(j) for m in rig.modules if isinstance(m, LimbModule) for j in module_joints(m)}
     driven = np.array([j in moved for j in range(skeleton.joint_count)])[:, None]
     fixed = np.array([j in moved and j not in reaching for j in range(skeleton.joint_count)])[:, None]

@@ -8,8 +8,17 @@ from __future__ import annotations
 import numpy as np
 
 from keypose.arrays import Floats
-from keypose.model import EyesModule, FingersModule, FollowModule, HeadModule, LimbModule, Module, SpineModule
-from keypose.rig import limbs
+from keypose.model import (
+    EyesModule,
+    FingersModule,
+    FollowModule,
+    HeadModule,
+    LimbModule,
+    Module,
+    SpineModule,
+    TwistModule,
+)
+from keypose.rig import limbs, twists
 from keypose.rig.frames import about, frame, inverse, lengths, moved, rotation, shared, spin, to_matrix, unit
 from keypose.rig.state import State, blend
 
@@ -29,6 +38,8 @@ def move(state: State, module: Module) -> None:
         _move_eyes(state, module)
     elif isinstance(module, FingersModule):
         _move_fingers(state, module)
+    elif isinstance(module, TwistModule):
+        twists.move_twists(state, module)
     else:
         _follow(state, module)
 
@@ -61,6 +72,8 @@ def wanted(state: State, module: Module) -> dict[int, Floats]:
             if np.abs(rotation(aimed) - rotation(state.joint(joint))).max(initial=0.0) > _ROLL:
                 # they roll, which no target says: their own channels go on
                 state.values[module.attribute("look")] = np.zeros(1)
+    elif isinstance(module, TwistModule):
+        twists.fit_twists(state, module)
     return found
 
 

@@ -18,12 +18,14 @@ from keypose.errors import KeyposeError, ShapeError, UnknownName
 from keypose.model import (
     Constraint,
     Driver,
+    EyesModule,
     FingersModule,
     LimbModule,
     Module,
     Property,
     Rig,
     Skeleton,
+    TwistModule,
     module_controls,
     module_joints,
 )
@@ -140,6 +142,13 @@ def owned_controls(module: Module) -> tuple[str, ...]:
     if isinstance(module, LimbModule) and module.foot is not None and module.foot.toes_control:
         return (module.foot.toes_control,)
     return ()
+
+
+def hanging_joints(module: Module) -> tuple[str, ...]:
+    """Joints whose place depends on what they hang on, not on controls alone."""
+    if isinstance(module, LimbModule):
+        return module.joints[:1]
+    return module.joints if isinstance(module, (EyesModule, TwistModule)) else ()
 
 
 class _Planner:
@@ -264,7 +273,7 @@ class _Planner:
             waits.setdefault(node, [])
             for name in module_controls(module):
                 wait(node, self.controls[name], None)
-            for name in module_joints(module):
+            for name in hanging_joints(module):
                 above = self.parents[self.joint(name)]
                 while above >= 0 and above not in self.mover:
                     above = self.parents[above]
@@ -272,6 +281,9 @@ class _Planner:
                     wait(node, None, above)
             if isinstance(module, FingersModule):
                 wait(node, None, self.joint(module.hand))
+            if isinstance(module, TwistModule):
+                for name in (n for twist in module.twists for n in (twist.bone, twist.end) if n):
+                    wait(node, None, self.joint(name))
         return tuple(_sorted(waits, self.called, f"rig '{self.rig.name}'"))
 
     def called(self, node: tuple[str, int]) -> str:
