@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 
 from keypose import evaluate, samples
-from keypose.analysis import compare_takes, measure_quality
-from keypose.errors import ShapeError
+from keypose.analysis import compare_takes, find_roles, measure_quality
+from keypose.analysis.ground import Ground
+from keypose.analysis.quality import quality_tracks
+from keypose.analysis.quality_chart import draw_quality
+from keypose.analysis.quality_demands import Demand, read_demands, unmet
+from keypose.editing.planting import PlantOptions, plant_feet
+from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
+from keypose.samples import performances
 
 
 @pytest.fixture(scope="module")
@@ -129,3 +135,124 @@ def test_real_motions_get_figures(data_dir: Path, file: str) -> None:
 def test_too_short_a_motion_is_refused(skeleton: Skeleton) -> None:
     with pytest.raises(ShapeError, match="at least 2 frames"):
         measure_quality(standing(skeleton, 1), skeleton)
+
+
+def test_joints_beyond_their_limits_are_told(skeleton: Skeleton) -> None:
+    motion = standing(skeleton)
+    assert measure_quality(motion, skeleton).limit_deg == 0.0
+    rotations = np.array(motion.pose.rotations)
+    knee = skeleton.names.index("LeftLeg")
+    rotations[20:30, knee] = quat.multiply(
+        rotations[20:30, knee], quat.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(-1.2))
+    )
+    found = measure_quality(replace(motion, pose=replace(motion.pose, rotations=rotations)), skeleton)
+    joint, degrees, frame, share = found.limit_breaks[0]
+    assert joint == "LeftLeg" and degrees > 30 and 20 <= frame < 30 and share == pytest.approx(10 / 60)
+    assert found.limit_deg == degrees and any("LeftLeg turns" in line for line in found.lines())
+
+
+def test_on_a_slope_feet_neither_sink_nor_float(skeleton: Skeleton) -> None:
+    roles = dict(find_roles(skeleton).roles)
+    walk = performances.make("walk")
+    flat = plant_feet(walk, skeleton, roles)
+    for rise in (0.15, -0.1):
+        ground = Ground(0.0, (0.0, rise))
+        up = plant_feet(walk, skeleton, roles, touching=flat.touching, options=PlantOptions(ground=ground)).motion
+        found = measure_quality(up, skeleton)
+        assert found.ground.startswith("a slope") and found.skate_cm_s is not None and found.skate_cm_s < 1.0
+        assert found.sink_cm is not None and found.sink_cm < 2.0 and found.float_share == 0.0
+
+
+def test_a_body_that_lies_does_not_float(skeleton: Skeleton) -> None:
+    motion = standing(skeleton)
+    rotations = np.array(motion.pose.rotations)
+    rotations[:, 0] = quat.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(-np.pi / 2))
+    translations = np.array(motion.pose.translations)
+    translations[:, 0, 1] = 0.12
+    lying = replace(motion, pose=Pose(translations, rotations, motion.pose.scales))
+    # feet up: the legs point to the sky
+    for name in ("LeftUpLeg", "RightUpLeg"):
+        rotations[:, skeleton.names.index(name)] = quat.multiply(
+            quat.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(-np.pi / 2)),
+            rotations[:, skeleton.names.index(name)],
+        )
+    found = measure_quality(replace(lying, pose=replace(lying.pose, rotations=rotations)), skeleton, ground_m=0.0)
+    assert found.float_share == 0.0
+
+
+def test_tracks_sum_up_to_the_figures(skeleton: Skeleton) -> None:
+    way = np.zeros((90, 3))
+    way[:, 0] = 0.05 * np.sin(np.arange(90) / 8.0)
+    way[60:70, 1] = -0.03
+    motion = standing(skeleton, 90, hips=way)
+    figures, tracks = measure_quality(motion, skeleton), quality_tracks(motion, skeleton)
+    assert tracks.feet is not None
+    speeds = np.concatenate(list(tracks.feet.slide_cm_s.values()))
+    assert np.nanmean(speeds) == pytest.approx(figures.skate_cm_s) and np.nanmax(speeds) == figures.worst_skate_cm_s
+    assert tracks.feet.sink_cm.max() == figures.sink_cm
+    assert np.sqrt(np.mean(tracks.jerk_m_s3[2:-1] ** 2)) == pytest.approx(figures.jerk_m_s3)
+    assert {f for f, _, _ in figures.pops} <= set(np.flatnonzero(tracks.pop >= 12.0))
+
+
+def test_the_chart_shows_contacts_where_they_are(skeleton: Skeleton) -> None:
+    motion = standing(skeleton, 60)
+    tracks, figures = quality_tracks(motion, skeleton), measure_quality(motion, skeleton)
+    for theme in ("light", "dark"):
+        picture = draw_quality(tracks, figures, "a stand", width=700, theme=theme)
+        assert picture.shape[1] == 700 and picture.dtype == np.uint8 and (picture[..., 3] == 255).all()
+    none = {point: np.zeros(60, bool) for point in ("left_heel", "left_ball", "right_heel", "right_ball")}
+    empty = draw_quality(quality_tracks(motion, skeleton, touching=none), figures, "a stand", width=700)
+    blue = [
+        (np.abs(p[..., :3].astype(int) - (0x2F, 0x6F, 0xD6)).sum(-1) < 12).mean()
+        for p in (picture_light(tracks, figures), empty)
+    ]
+    assert blue[0] > 0.01 > 10 * blue[1]  # the word "left" has that colour, too
+    with pytest.raises(ShapeError, match="theme"):
+        draw_quality(tracks, figures, theme="sepia")
+
+
+def picture_light(tracks, figures) -> np.ndarray:
+    return draw_quality(tracks, figures, "a stand", width=700)
+
+
+def test_demands_are_read_and_judged(tmp_path: Path) -> None:
+    figures = {
+        "skate_cm_s": 3.0,
+        "sink_cm": None,
+        "pops": [1, 2],
+        "contact_share": 0.5,
+        "direction": {"mean_direction_deg": 4.0},
+    }
+    assert unmet(figures, read_demands("skate>3.5, pops>2,contact<0.4,direction>5")) == ()
+    lacking = unmet(figures, read_demands("skate>2,pops>1,contact<0.6,direction>3,sink>1"))
+    assert len(lacking) == 5 and "skate is 3 cm/s, more than 2" in lacking and "not measured" in lacking[-1]
+    toml = tmp_path / "limits.toml"
+    toml.write_text("[quality]\nskate = 2.0\ncontact = {least = 0.2, most = 0.9}\n")
+    js = tmp_path / "limits.json"
+    js.write_text('{"skate": 2, "contact": {"least": 0.2, "most": 0.9}}')
+    expected = (Demand("skate", ">", 2.0), Demand("contact", "<", 0.2), Demand("contact", ">", 0.9))
+    assert read_demands(str(toml)) == read_demands(str(js)) == expected
+    for text, error in (("skat>2", UnknownName), ("skate=2", ShapeError), ("skate>two", ShapeError), ("", ShapeError)):
+        with pytest.raises(error):
+            read_demands(text)
+    for name, content in (("bad.toml", "skate = ["), ("list.json", "[1]"), ("gone.toml", None)):
+        path = tmp_path / name
+        if content is not None:
+            path.write_text(content)
+        with pytest.raises(FormatError):
+            read_demands(str(path))
+    toml.write_text("skate = 'low'")
+    with pytest.raises(ShapeError, match="expected a number"):
+        read_demands(str(toml))
+    toml.write_text("skate = {at_most = 2}")
+    with pytest.raises(UnknownName):
+        read_demands(str(toml))
+
+
+@pytest.mark.data
+def test_an_animal_on_all_fours_is_measured_without_limits_of_people(data_dir: Path) -> None:
+    scene = samples.open_scene(str(data_dir / "gltf/khronos/Fox.glb"))
+    body = scene.character.skeleton
+    found = measure_quality(evaluate.bake(scene.animation("Survey"), body, 24.0), body)
+    assert found.limit_deg is None and found.overlap_cm is None
+    assert found.contact_share is not None and found.contact_share > 0.5

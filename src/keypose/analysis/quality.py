@@ -14,7 +14,7 @@ from keypose.analysis.ground import Ground
 from keypose.analysis.limits import human_limits
 from keypose.analysis.quality_feet import FeetTracks, carried_speeds, follow_feet
 from keypose.analysis.quality_takes import TakeDifference, compare_takes
-from keypose.analysis.roles import SIDES, find_roles
+from keypose.analysis.roles import SIDES, RoleMap, find_roles
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.evaluate import match, world_rotations_positions
@@ -138,7 +138,7 @@ class QualityTracks:
 def measure_quality(
     motion: Motion,
     skeleton: Skeleton,
-    roles: Mapping[str, int] | None = None,
+    roles: RoleMap | Mapping[str, int] | None = None,
     ground_m: float | None = None,
     *,
     ground: Ground | None = None,
@@ -159,13 +159,13 @@ def measure_quality(
     """
     motion = _matched(motion, skeleton)
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
-    known = dict(find_roles(skeleton).roles if roles is None else roles)
+    known, legs, four = _roles_of(skeleton, roles)
     asked = Ground(ground_m) if ground is None and ground_m is not None else ground
-    feet = follow_feet(known, places, motion.rate_hz, ground=asked, touching=touching)
+    feet = follow_feet(legs, places, motion.rate_hz, ground=asked, touching=touching)
     skate = worst = share = sink = sinking = floating = None
     low, words = float(places[..., 1].min()) if ground_m is None else ground_m, ""
     if feet is not None:
-        low = float(feet.footing.ground.heights(places[:1, known["left_foot"]])[0])
+        low = float(feet.footing.ground.heights(places[:1, legs["left_foot"]])[0])
         words = feet.footing.ground.describe()
         speeds = np.concatenate(list(feet.slide_cm_s.values()))
         speeds = speeds[np.isfinite(speeds)]
@@ -173,10 +173,10 @@ def measure_quality(
         share = float(np.any(list(feet.footing.touching.values()), axis=0).mean())
         sink, sinking = float(feet.sink_cm.max()), float((feet.sink_cm > 1.0).mean())
         floating = float(feet.floats.mean())
-    depth, pair = _overlap(known, places)
+    depth, pair = (None, "") if four else _overlap(known, places)
     jump, turn = _loop(motion, skeleton, known, places)
     rms, pops = _pops(_third_differences(places), motion.rate_hz, skeleton.names)
-    beyond, breaks = _limit_breaks(motion, skeleton, known, stand)
+    beyond, breaks = (None, ()) if four else _limit_breaks(motion, skeleton, known, stand)
     return Quality(
         motion.frame_count, motion.rate_hz, low, words, skate, worst, share, sink, sinking, floating, rms, pops,
         beyond, breaks, depth, pair, jump, turn,
@@ -186,7 +186,7 @@ def measure_quality(
 def quality_tracks(
     motion: Motion,
     skeleton: Skeleton,
-    roles: Mapping[str, int] | None = None,
+    roles: RoleMap | Mapping[str, int] | None = None,
     *,
     ground: Ground | None = None,
     touching: Mapping[str, np.ndarray] | None = None,
@@ -194,14 +194,31 @@ def quality_tracks(
     """What feet and jerks do frame by frame, with the arguments and errors of `measure_quality`."""
     motion = _matched(motion, skeleton)
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
-    known = dict(find_roles(skeleton).roles if roles is None else roles)
-    feet = follow_feet(known, places, motion.rate_hz, ground=ground, touching=touching)
+    feet = follow_feet(_roles_of(skeleton, roles)[1], places, motion.rate_hz, ground=ground, touching=touching)
     third = _third_differences(places)
     jerk, pop = np.zeros(motion.frame_count), np.zeros(motion.frame_count)
     if len(third):
         jerk[2:-1] = np.sqrt(np.mean(third**2, axis=1)) * motion.rate_hz**3
         pop[2:-1] = (third / _usual(third)).max(axis=1)
     return QualityTracks(motion.rate_hz, motion.start_s, feet, jerk, pop)
+
+
+def _roles_of(
+    skeleton: Skeleton, roles: RoleMap | Mapping[str, int] | None
+) -> tuple[dict[str, int], dict[str, int], bool]:
+    """Roles, roles as of feet that stand on the ground, and whether the body goes on all fours.
+
+    An animal that stands on its toes has its feet, as roles go, in the air.
+    """
+    found = find_roles(skeleton) if roles is None else roles
+    four = isinstance(found, RoleMap) and found.on_all_fours
+    known = dict(found.roles if isinstance(found, RoleMap) else found)
+    legs = {
+        role: known.get(role.replace("_foot", "_toes"), joint) if role.endswith("_foot") else joint
+        for role, joint in known.items()
+        if not role.endswith("_toes")
+    }
+    return known, legs if four else known, four
 
 
 def _matched(motion: Motion, skeleton: Skeleton) -> Motion:

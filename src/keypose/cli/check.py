@@ -17,7 +17,7 @@ from keypose.errors import FormatError
 from keypose.model import Motion, Pose, Scene, Skeleton
 
 if TYPE_CHECKING:
-    from keypose.analysis import Quality
+    from keypose.analysis import Quality, RoleMap
 
 _SIGNS = {
     "warning": "[red]warning[/red]",
@@ -108,12 +108,13 @@ def print_quality(
     body, motions = _motions(scene, reference, clip)
     other = None if asked.against is None else open_input(asked.against, unit=unit, up=up)
     known = scene.character.roles
-    roles = dict(find_roles(body, known=known or None).roles)
+    found = find_roles(body, known=known or None)
+    roles = dict(found.roles)
     rows: list[dict[str, Any]] = []
     out = console()
     failed = 0
     for motion in motions:
-        quality = measure_quality(motion, body, roles, stand=_stand(body, roles, motion))
+        quality = measure_quality(motion, body, found, stand=None if found.missing else _stand(body, roles, motion))
         row = quality_json(motion.name, quality)
         beside = (
             [] if other is None or asked.against is None else _compared(motion, body, roles, other, asked.against, row)
@@ -122,7 +123,7 @@ def print_quality(
         failed += len(lacking)
         rows.append({**row, "failed": list(lacking)} if demands else row)
         if asked.plot is not None and motion is motions[0]:
-            _draw(asked, motion, body, roles, quality, reference)
+            _draw(asked, motion, body, found, quality, reference)
         if as_json:
             continue
         from rich.markup import escape
@@ -186,7 +187,7 @@ def _stand(body: Skeleton, roles: Mapping[str, int], motion: Motion) -> Pose | N
 
 
 def _draw(
-    asked: QualityAsked, motion: Motion, body: Skeleton, roles: Mapping[str, int], quality: Quality, reference: str
+    asked: QualityAsked, motion: Motion, body: Skeleton, roles: RoleMap, quality: Quality, reference: str
 ) -> None:
     from PIL import Image
 
