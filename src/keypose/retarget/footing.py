@@ -23,6 +23,9 @@ _FEWEST_FLAT = 5
 # How fast hips follow the height of the feet that carry them: the width of a Gauss filter in seconds.
 _HIPS_FOLLOW_S = 0.15
 
+# Heel and ball are at one height where they differ by no more than this share of the leg.
+_SAME_HEIGHT = 0.03
+
 _POINTS = {"heel": "foot", "ball": "toes"}
 
 # Of an animal on all fours the forelegs are legs too.
@@ -48,11 +51,21 @@ class Footing:
 
 
 def footings(
-    own: BodyFrames, other: BodyFrames, places: Floats, rate_hz: float, options: PlantOptions
+    own: BodyFrames,
+    other: BodyFrames,
+    places: Floats,
+    rate_hz: float,
+    options: PlantOptions,
+    touching: Mapping[str, np.ndarray] | None = None,
 ) -> list[Footing]:
-    """The pairs of legs that both bodies have, with their contacts in the source's places (T, J, 3)."""
+    """The pairs of legs that both bodies have, with their contacts in the source's places (T, J, 3).
 
-    def touched(roles: Mapping[str, int]) -> dict[str, np.ndarray]:
+    ``touching`` has contacts that are known already, as `all_touching` names them.
+    """
+
+    def touched(roles: Mapping[str, int], fore: bool = False) -> dict[str, np.ndarray]:
+        if touching is not None:
+            return {p.replace("_hand", "_heel"): flags for p, flags in touching.items() if p.endswith("_hand") == fore}
         return foot_contacts(roles, places, rate_hz, own.leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s)
 
     if not own.on_all_fours:
@@ -67,7 +80,7 @@ def footings(
         for body in (own, other)
     ]
     if all(leg in roles for roles in fore for leg in _FORELEGS):
-        found.append(Footing(fore[0], fore[1], touched(fore[0]), hind=False))
+        found.append(Footing(fore[0], fore[1], touched(fore[0], fore=True), hind=False))
     return found
 
 
@@ -96,6 +109,37 @@ def levelled(own: BodyFrames, turned: Floats, touching: Mapping[str, np.ndarray]
             # about the foot's own left: a positive turn lowers the toes
             frames[role] = quat.multiply(frames[role], quat.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array(rise)))
     return replace(own, joint_from_frame=frames)
+
+
+def carried_by(other: BodyFrames, pose: Pose, footing: Sequence[Footing]) -> list[Footing]:
+    """The footings with contacts of the heel alone, or the ball alone, given to the point that is the lower one on the target.
+
+    How a foot lies in the source is told by the few frames in which it stands; a source that hardly ever stands may take a
+    ball for a heel.
+    """
+    if other.on_all_fours:
+        return list(footing)
+    places = np.asarray(world_rotations_positions(other.skeleton, pose)[1], np.float64)
+    found: list[Footing] = []
+    for pair in footing:
+        touching = dict(pair.touching)
+        for side in SIDES:
+            heel, ball = f"{side}_heel", f"{side}_ball"
+            if heel not in touching or ball not in touching or f"{side}_toes" not in other.roles:
+                continue
+            over = [
+                places[:, other.roles[role], 1] - other.places[other.roles[role], 1]
+                for role in (f"{side}_foot", f"{side}_toes")
+            ]
+            if int((touching[heel] & touching[ball]).sum()) >= _FEWEST_FLAT:
+                continue
+            margin = _SAME_HEIGHT * other.leg_m
+            swap = (touching[heel] & ~touching[ball] & (over[0] > over[1] + margin)) | (
+                touching[ball] & ~touching[heel] & (over[1] > over[0] + margin)
+            )
+            touching[heel], touching[ball] = touching[heel] ^ swap, touching[ball] ^ swap
+        found.append(replace(pair, touching=touching))
+    return found
 
 
 def rise(other: BodyFrames, pose: Pose, footing: Sequence[Footing], rate_hz: float | None) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,9 +65,14 @@ class RetargetReport:
 
 
 def compare_motions(
-    source: Motion, own: BodyFrames, target: Motion, other: BodyFrames, options: PlantOptions
+    source: Motion,
+    own: BodyFrames,
+    target: Motion,
+    other: BodyFrames,
+    options: PlantOptions,
+    touching: Mapping[str, np.ndarray] | None = None,
 ) -> RetargetReport:
-    """The figures of two motions with the same frames."""
+    """The figures of two motions with the same frames; ``touching``: the contacts (T,), if not those of the source by itself."""
     r, a = (np.asarray(x, np.float64) for x in world_rotations_positions(own.skeleton, source.pose.broadcast()))
     s, b = (np.asarray(x, np.float64) for x in world_rotations_positions(other.skeleton, target.pose.broadcast()))
     directions: dict[str, float] = {}
@@ -76,7 +82,7 @@ def compare_motions(
             if low in ("hips", "neck"):
                 theirs = _built_alike(own, r, theirs, other, low, high)
             directions[low] = float(np.mean(_angles(theirs, mine)))
-    feet = footings(own, other, a, source.rate_hz, options)
+    feet = footings(own, other, a, source.rate_hz, options, touching)
     speeds = np.concatenate([carried_speeds(f.other, b, f.touching, target.rate_hz) for f in feet])
     theirs = np.concatenate([carried_speeds(f.own, a, f.touching, source.rate_hz) for f in feet])
     carried = [flags for f in feet for flags in f.touching.values()]

@@ -15,7 +15,7 @@ from keypose.evaluate import bake, key_rate, match, resample, world_rotations_po
 from keypose.model import Clip, Motion, Pose, Skeleton
 from keypose.retarget.attach import attach_limbs
 from keypose.retarget.body import BodyFrames, body_frames
-from keypose.retarget.footing import Footing, all_touching, footings, levelled, rise
+from keypose.retarget.footing import Footing, all_touching, carried_by, footings, levelled, rise
 from keypose.retarget.hands import HandOptions, keep_hands
 from keypose.retarget.posing import as_pose, hips_path, model_rotations
 from keypose.retarget.report import RetargetReport, compare_motions
@@ -55,22 +55,23 @@ def retarget(
     hands: HandOptions | None = None,
     rate_hz: float | None = None,
 ) -> RetargetResult:
-    """A motion of one humanoid on another, by the roles of their joints.
+    """A motion of one body on another, by the roles of their joints: humanoids, or animals on all fours with maps of roles.
 
     Bones of arms, legs and fingers point exactly where the source's do; trunk, head, shoulders and feet turn by what the
     source turns out of its reference pose, shared out along spines of other joint counts. The hips' path is scaled by leg
-    length (or ``scale``), with the ankles' lowest height on the target's own. A foot is level where the source stands on heel
-    and ball. Then feet in contact are planted (``plant``;
-    None leaves that out). Joints without a role keep their rest pose, joints of twist take their share of the hand's.
+    length (or ``scale``); they follow the height of the feet that carry them. Then feet in contact are planted (``plant``;
+    None leaves that out), and hands keep their place beside body and props (``hands``). Rolls are shared out along limbs;
+    joints without a role keep their place beside their parent.
 
     ``source_reference`` and ``target_reference`` are upright stands (no batch). If not given, they are the rest poses, turned
-    upright where they lie, or, where a rest pose is no stand at all, the most upright frame of the motion (of
-    ``target_motion``, any motion that the target has, for the target); a note says so.
-    ``target_ground_m``: height of the ground under the target in its reference pose, if its lowest joint is not it.
+    upright where they lie; where a rest pose is no stand at all, `find_stand` looks for one in the motion (in ``target_motion``,
+    any motion that the target has, for the target). A note says so. `bind_stand` has the pose that a skin was bound in.
+    ``target_ground_m``: height of the ground under the target in its reference pose (`ground_under`), if its lowest joint is
+    not it.
 
     Raises:
-        KeyposeError: where a skeleton is no humanoid.
-        ShapeError: where the motion has no frames or the scale is not positive.
+        KeyposeError: where a skeleton is no humanoid, or only one of the two stands on four feet.
+        ShapeError: where the motion has no frames, the scale is not positive, or a prop has other frames.
 
     Source: M. Gleicher, "Retargetting motion to new characters" (SIGGRAPH 1998), for what is to be kept: contacts.
     """
@@ -114,10 +115,11 @@ def retarget(
     if attached is not None:
         moved = attached.pose_out(moved)
     result = replace(motion, joint_names=target.names, pose=moved)
-    report = compare_motions(motion, own, result, whole, plant or PlantOptions())
+    touching = all_touching(feet)
+    report = compare_motions(motion, own, result, whole, plant or PlantOptions(), touching)
     if off_m is not None:
         report = replace(report, hands_off_cm=100.0 * float(off_m.mean()) if len(off_m) else 0.0)
-    return RetargetResult(result, report, own, whole, all_touching(feet), tuple(notes))
+    return RetargetResult(result, report, own, whole, touching, tuple(notes))
 
 
 def _moved(
@@ -132,6 +134,7 @@ def _moved(
     model = model_rotations(own, other, turned)
     hips = hips_path(own, other, turned, places, model, other.leg_m / own.leg_m if scale is None else float(scale))
     moved = as_pose(other, model, hips)
+    feet = carried_by(other, moved, feet)
     up = rise(other, moved, feet, None if plant is None else motion.rate_hz)
     if np.any(up):
         hips[:, 1] += up
