@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import time
 
@@ -38,6 +39,14 @@ STUDY_ROWS = {
     ("limit: read 256 MB (RAM)", "GB/s"),
     ("limit: store 256 MB (RAM)", "GB/s"),
     ("limit: multiply-add", "Gflop/s"),
+}
+
+
+IK_ROWS = {
+    ("two-bone IK", "ns/limb"),
+    ("full-body IK, 26 joints, 5 effectors, 10 steps", "us/solve"),
+    ("full-body IK, 26 joints, 25 effectors, 10 steps", "us/solve"),
+    ("retargeting, 61 joints, with contacts", "frames/s"),
 }
 
 
@@ -103,6 +112,25 @@ def test_the_run_time_measures_the_same_rows_on_compressed_clips(tmp_path):
     assert {row for row in STUDY_ROWS if row[0].startswith(("chain", "limit"))} <= set(rows)
     assert {unit for name, unit in rows if name.startswith("compression, ")} == {":1"}
     assert all(r.value and r.value > 0 for r in results)
+
+
+@pytest.mark.slow
+def test_inverse_kinematics_are_beside_numpy_mink_and_published_figures(tmp_path):
+    results = bench.run("ik", tmp_path / "ik.json", rounds=2)
+    rows = [(r.name, r.unit) for r in results]
+    assert len(set(rows)) == len(rows) and {r.suite for r in results} == {"ik"}
+    assert set(rows) >= IK_ROWS
+    assert all(r.value and r.value > 0 for r in results)
+    assert all(r.ratio > 2 for r in results if r.against == "NumPy" or r.against.startswith("published"))
+    if importlib.util.find_spec("mink"):
+        assert {r.name.split(" joints, ")[1][:2] for r in results if r.against == "mink"} == {"5 ", "25"}
+
+
+def test_a_published_figure_is_a_reference():
+    suite = Suite()
+    suite.case("a rate", "frames/s", 100, busy(0.001), published=50_000.0, against="a paper")
+    (result,) = suite.run(2)
+    assert result.reference == 50_000 and result.ratio == pytest.approx(2, rel=0.3) and result.against == "a paper"
 
 
 def test_rows_of_two_suites_may_have_one_name(tmp_path, capsys):

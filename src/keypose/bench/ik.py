@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from keypose.bench import bodies
 from keypose.bench.suite import Suite
 from keypose.ik import rotation_between_frames, solve_limb, solve_limbs
 from keypose.kernels.limbs import IN_ROWS, OUT_ROWS, turn_lanes
@@ -22,6 +23,7 @@ def add(suite: Suite) -> None:
     """All rows of the suite."""
     rng = np.random.default_rng(2)
     _limbs(suite, rng)
+    bodies.add(suite, rng)
     _retargeting(suite)
 
 

@@ -1,0 +1,165 @@
+# pyright: basic
+"""Whole bodies that reach for targets, beside mink on the same problem: same skeleton, targets and accuracy asked for."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from keypose.bench import data, plain
+from keypose.bench.suite import Suite
+from keypose.ik import PositionTask, SolveOptions, solve_pose
+from keypose.math import quat
+from keypose.model import Pose, Skeleton
+
+_ASKED, _ASKED_M = "0.1 mm", 1e-4
+_STEPS, _DAMPING = 10, 1e-4
+_POSES = 2048  # solved at once: half a minute of frames, or a crowd
+_BESIDE = 8  # of them also given to mink
+
+
+def add(suite: Suite, rng: np.random.Generator) -> None:
+    """Five effectors and 25 markers of 26 joints, from the rest pose; the root moves freely."""
+    parents, offsets = data.body(data.BODY_JOINTS)
+    joints = len(parents)
+    bent = np.asarray(quat.from_rotation_vector(rng.normal(0, 0.15, (joints, 3))))
+    moved = offsets.copy()
+    moved[0] += rng.normal(0, 0.02, 3)
+    goals = plain.kinematics(parents, bent[None], moved[None])[1]
+    more = np.asarray(quat.from_rotation_vector(rng.normal(0, 0.15, (_POSES, joints, 3))))
+    moved = np.tile(offsets, (_POSES, 1, 1))
+    moved[:, 0] += rng.normal(0, 0.02, (_POSES, 3))
+    many = plain.kinematics(parents, more, moved)[1]
+    for effectors in (np.setdiff1d(np.arange(joints), parents), np.arange(1, joints)):
+        _one(suite, parents, offsets, effectors, goals, many)
+
+
+def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, many: Any) -> None:
+    """The rows of one set of effectors."""
+    joints, count = len(parents), len(effectors)
+    name = f"full-body IK, {joints} joints, {count} effectors"
+    rest = Pose(offsets, np.tile([1.0, 0, 0, 0], (joints, 1)), np.ones((joints, 3)))
+    skeleton = Skeleton(tuple(f"joint{j}" for j in range(joints)), parents, rest)
+    whole = SolveOptions(iterations=_STEPS, tolerance_m=1e-15, settled_rad=1e-15)
+    asked = SolveOptions(iterations=100, tolerance_m=_ASKED_M)
+
+    def tasks(places: Any) -> list[PositionTask]:
+        return [PositionTask(int(e), places[:, e]) for e in effectors]
+
+    def missed(result: Any, places: Any) -> float:
+        reached = plain.kinematics(parents, result.pose.rotations, result.pose.translations)[1]
+        return float(np.linalg.norm((reached - places)[:, effectors], axis=-1).max())
+
+    one, every = tasks(goal), tasks(many)
+    left = (
+        missed(solve_pose(skeleton, rest, one, options=whole), goal),
+        missed(solve_pose(skeleton, rest, every, options=whole), many),
+    )
+    suite.check(f"{name}, {_STEPS} steps: distance left (m)", max(left), 1e-8)
+    far = missed(solve_pose(skeleton, rest, every, options=asked), many)
+    suite.check(f"{name}, to {_ASKED}: distance left (m)", far, 1.001 * _ASKED_M)
+    count = min(_BESIDE, len(many))
+    full, near, said = _beside(parents, offsets, effectors, many[:count])
+    suite.case(
+        f"{name}, {_STEPS} steps", "us/solve", len(many), lambda: solve_pose(skeleton, rest, every, options=whole), full,
+        "mink", count, f"{len(many)} at once; {left[1]:.1g} m off, {said[0]}",
+    )  # fmt: skip
+    suite.case(
+        f"{name}, to {_ASKED}", "us/solve", len(many), lambda: solve_pose(skeleton, rest, every, options=asked), near,
+        "mink", count, f"{len(many)} at once; worst {1e3 * far:.2g} mm, {said[1]}",
+    )  # fmt: skip
+    suite.case(
+        f"{name}, {_STEPS} steps, one alone", "us/solve", 1, lambda: solve_pose(skeleton, rest, one, options=whole), full,
+        "mink", count, f"{left[0]:.1g} m off",
+    )  # fmt: skip
+
+
+def _beside(parents: Any, offsets: Any, effectors: Any, many: Any) -> tuple[Any, Any, tuple[str, str]]:
+    """What mink does, all its steps and only those that the accuracy takes, and how far off that leaves it."""
+    if not _installed("mink"):
+        return None, None, ("mink not installed", "mink not installed")
+    peer = _Mink(parents, offsets, effectors)
+    every, needed = [_STEPS] * len(many), [peer.steps_for(place, _ASKED_M) for place in many]
+    off = [max(peer.solved(place, n) for place, n in zip(many, each, strict=True)) for each in (every, needed)]
+
+    def solve(each: list[int]) -> None:
+        for place, n in zip(many, each, strict=True):
+            peer.solve(place, n)
+
+    said = f"mink {off[0]:.1g} m off", f"mink {1e3 * off[1]:.2g} mm in {np.mean(needed):.1f} steps"
+    return lambda: solve(every), lambda: solve(needed), said
+
+
+class _Mink:
+    """The body as a MuJoCo model of ball joints, whose effectors mink brings to targets by Gauss-Newton steps."""
+
+    def __init__(self, parents: Any, offsets: Any, effectors: Any) -> None:
+        import mink
+        import mujoco
+
+        self._mink, self._threads = mink, _one_thread()
+        models: Any = mujoco
+        model = models.MjModel.from_xml_string(_mjcf(parents, offsets))
+        self._configuration = mink.Configuration(model)
+        self._start = self._configuration.q.copy()
+        self._tasks = {
+            int(e): mink.FrameTask(f"j{e}", "body", position_cost=1.0, orientation_cost=0.0) for e in effectors
+        }
+
+    def solve(self, goal: Any, steps: int) -> None:
+        """So many steps from the rest pose towards places (J, 3)."""
+        mink, configuration = self._mink, self._configuration
+        with self._threads():
+            tasks = list(self._tasks.values())
+            for e, task in self._tasks.items():
+                task.set_target(mink.SE3.from_translation(goal[e]))
+            configuration.update(self._start)
+            for _ in range(steps):
+                velocity = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=_DAMPING, limits=[])
+                configuration.integrate_inplace(velocity, 1.0)
+
+    def missed(self, goal: Any) -> float:
+        """How far the worst effector is off now."""
+        frames = (self._configuration.get_transform_frame_to_world(f"j{e}", "body") for e in self._tasks)
+        return max(float(np.linalg.norm(f.translation() - goal[e])) for f, e in zip(frames, self._tasks, strict=True))
+
+    def solved(self, goal: Any, steps: int) -> float:
+        """The same after so many steps."""
+        self.solve(goal, steps)
+        return self.missed(goal)
+
+    def steps_for(self, goal: Any, asked_m: float) -> int:
+        """The fewest steps after which every effector is there."""
+        return next(n for n in range(1, 1000) if self.solved(goal, n) <= asked_m or n == 999)
+
+
+def _mjcf(parents: Any, offsets: Any) -> str:
+    below: dict[int, list[int]] = {}
+    for joint, parent in enumerate(parents):
+        below.setdefault(int(parent), []).append(joint)
+
+    def body(joint: int) -> str:
+        moves = "<freejoint/>" if parents[joint] < 0 else '<joint type="ball"/>'
+        place = " ".join(repr(float(x)) for x in offsets[joint])
+        inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        return f'<body name="j{joint}" pos="{place}">{moves}{inertia}{"".join(map(body, below.get(joint, [])))}</body>'
+
+    return f"<mujoco><worldbody>{''.join(map(body, below[-1]))}</worldbody></mujoco>"
+
+
+def _installed(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None
+
+
+def _one_thread() -> Callable[[], Any]:
+    """A context that keeps linear algebra on one thread: small matrices on several take mink up to seven times as long."""
+    if not _installed("threadpoolctl"):
+        return contextlib.nullcontext
+    from threadpoolctl import ThreadpoolController
+
+    controller = ThreadpoolController()
+    return lambda: controller.limit(limits=1)
