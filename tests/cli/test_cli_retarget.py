@@ -78,9 +78,17 @@ def test_what_cannot_be_told_or_kept_is_refused(data_dir: Path, tmp_path: Path) 
     assert "four feet" in refused(keypose("retarget", "sample:walk", "--to", fox, out))
     markers = next((data_dir / "c3d").rglob("*.c3d"))
     assert "only markers" in refused(keypose("convert", markers, out))
-    bvh, amc = data_dir / "cmu_01_01/01_01.bvh", data_dir / "cmu_01_01/01_01.amc"
-    assert "namesake" in refused(keypose("check", bvh, "--against", amc))
     assert not out.exists()
+
+
+@pytest.mark.data
+def test_one_take_in_two_formats_agrees(data_dir: Path) -> None:
+    """The BVH that somebody else made of the capture has other names, an other trunk and one frame more."""
+    bvh, amc = data_dir / "cmu_01_01/01_01.bvh", data_dir / "cmu_01_01/01_01.amc"
+    done = keypose("check", bvh, "--against", amc)
+    assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    assert "arms 0.00, legs 0.00, shoulders 0.00" in said and "shifted by 8.3 ms" in said
 
 
 @pytest.mark.data
