@@ -389,7 +389,7 @@ def clean(
         Path | None, typer.Option("--contacts", metavar="FILE", help="Write the contacts as .json or .csv.")
     ] = None,
     events: Annotated[
-        bool, typer.Option("--events", help="Write contacts as events of the motion: left_ball.down ...")
+        bool, typer.Option("--events", help="Write contacts as events of the motion (.npz): left_ball.down ...")
     ] = False,
     roles: Annotated[
         Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")

@@ -1,0 +1,75 @@
+"""`keypose clean` and `keypose check --quality` as a user meets them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from keypose import io
+from keypose.model import Motion
+from tests.cli.test_cli import keypose, refused
+
+
+def test_clean_writes_says_and_a_second_time_changes_nothing(tmp_path: Path) -> None:
+    first = keypose("clean", "sample:walk", tmp_path / "a.glb", "--contacts", tmp_path / "a.json", "--floor", "0")
+    assert first.returncode == 0, first.stderr
+    assert "feet in contact slide" in first.stdout and "ground: level" in first.stdout
+    second = keypose("clean", tmp_path / "a.glb", tmp_path / "b.glb", "--contacts", tmp_path / "b.csv")
+    assert "nothing was changed" in second.stdout
+    facts = json.loads((tmp_path / "a.json").read_text())
+    assert facts["schema"] == "keypose.contacts/1" and facts["frames"] == 125
+    with (tmp_path / "b.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [r["point"] for r in rows] == [c["point"] for c in facts["contacts"]]
+    assert [int(r["first"]) for r in rows] == [c["first"] for c in facts["contacts"]]
+
+
+def test_clean_writes_contacts_as_events(tmp_path: Path) -> None:
+    done = keypose("clean", "sample:run", tmp_path / "a.npz", "--events", "-q")
+    assert done.returncode == 0 and done.stdout == "", done.stderr
+    animation = io.load(tmp_path / "a.npz").animations[0]
+    assert isinstance(animation, Motion)
+    assert {"left_ball.down", "left_ball.up"} <= {e.name for e in animation.events}
+
+
+def test_clean_refuses_what_it_cannot_do(tmp_path: Path) -> None:
+    assert "hill" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--ground", "hill"))
+    assert "" in refused(keypose("clean", "sample:ball", tmp_path / "a.glb"))
+    assert ".csv" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--contacts", tmp_path / "c.txt"))
+    assert not (tmp_path / "a.glb").exists()
+
+
+def test_check_fails_on_demands_and_draws(tmp_path: Path) -> None:
+    plot = tmp_path / "q.png"
+    good = keypose("check", "sample:walk", "--fail-on", "skate>5,sink>3,contact<0.5", "--plot", plot)
+    assert good.returncode == 0, good.stdout + good.stderr
+    assert np.array(Image.open(plot)).shape[1] == 1400
+    bad = keypose("check", "sample:walk", "--fail-on", "jerk>1", "--json")
+    assert bad.returncode == 1
+    facts = json.loads(bad.stdout)
+    assert facts["schema"] == "keypose.quality/1" and "jerk" in facts["quality"][0]["failed"][0]
+    limits = tmp_path / "limits.toml"
+    limits.write_text("jerk = 1.0\n")
+    again = keypose("check", "sample:walk", "--fail-on", limits)
+    assert again.returncode == 1 and "failed" in again.stdout
+    assert "skate" in refused(keypose("check", "sample:walk", "--fail-on", "skating>1"))
+    assert ".png" in refused(keypose("check", "sample:walk", "--plot", tmp_path / "q.jpg"))
+
+
+@pytest.mark.data
+def test_a_take_beside_one_of_another_skeleton(data_dir: Path) -> None:
+    done = keypose(
+        "check",
+        data_dir / "asf_amc/cmu_02/02_01.amc",
+        "--json",
+        "--against",
+        data_dir / "bvh/cmu_iclone_002/002_01.bvh",
+    )
+    assert done.returncode == 0, done.stderr
+    direction = json.loads(done.stdout)["quality"][0]["direction"]
+    assert direction["direction_deg"]["arms"] < 2.0 and direction["mean_direction_deg"] < 8.0
