@@ -66,7 +66,7 @@ def finger_module(sheet: Sheet, body: Body, side: str, letter: str, colour: Cont
     sheet.attribute(module.attribute("curl"), goal, low=-0.3)
     sheet.attribute(module.attribute("spread"), goal, low=-0.3, high=0.5, angle=True)
     for finger in fingers:
-        sheet.attribute(f"{finger.name}.curl", goal, low=-0.5, high=1.2)
+        sheet.attribute(f"{finger.name}.curl", goal, low=-1.0)
     return module
 
 
