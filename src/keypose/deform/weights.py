@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from keypose.arrays import Array, Floats, Ints, checked
-from keypose.deform.weights_bones import Bones, bones_of
+from keypose.deform.weights_bones import Bones, bones_of, mounts_of
 from keypose.deform.weights_bound import bound_pose
 from keypose.deform.weights_heat import sources_of, spread
 from keypose.deform.weights_nearest import nearest_on
@@ -21,7 +21,6 @@ from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world
 from keypose.model import Character, Mesh, Part, Skeleton, Skin, SkinningMethod
 
-_VOXELS = 2_000_000
 _INSIDE = 1 / 3  # of a bone has to be in the body
 _STIFF = 0.02  # of the size; pieces so small that go along do not bend
 _LEAST_WEIGHT = 1e-3
@@ -117,8 +116,12 @@ def automatic_weights(
     pose = np.asarray(pose, np.float64)
     checked(pose, (skeleton.joint_count, 4, 4), "model_from_joint", "the skeleton")
     surface = weld(meshes)
-    solid = solid_of(surface, _VOXELS)
-    chosen = _named(skeleton, joints) if joints is not None else _of_the_body(skeleton, solid.holds(pose[:, :3, 3]))
+    solid = solid_of(surface)
+    chosen = (
+        _named(skeleton, joints)
+        if joints is not None
+        else _of_the_body(skeleton, pose[:, :3, 3], solid.holds(pose[:, :3, 3]))
+    )
     found, report = _weigh(surface, solid, skeleton, pose, chosen, strength, max_influences, progress)
     binds = np.linalg.inv(pose)
     skins: list[Skin] = []
@@ -202,8 +205,8 @@ def _named(skeleton: Skeleton, joints: Sequence[int | str]) -> list[int]:
     return sorted(found)
 
 
-def _of_the_body(skeleton: Skeleton, inside: Any) -> list[int]:
-    """All joints but those that only carry the others: outside the body and above the first fork, and leaves beside it."""
+def _of_the_body(skeleton: Skeleton, places: Floats, inside: Any) -> list[int]:
+    """All joints but mounts and those that only carry others: outside the body above the first fork, and leaves beside it."""
     below = [1] * skeleton.joint_count
     for joint in range(skeleton.joint_count - 1, -1, -1):
         if skeleton.parents[joint] >= 0:
@@ -212,12 +215,12 @@ def _of_the_body(skeleton: Skeleton, inside: Any) -> list[int]:
     for joint, parent in enumerate(skeleton.parents.tolist()):
         if parent >= 0:
             children[parent].append(joint)
-    carriers: set[int] = set()
+    carriers = mounts_of(skeleton, places)
     row = [j for j in range(skeleton.joint_count) if skeleton.parents[j] < 0]
     while True:
         branches = [j for j in row if below[j] > 1]
         if not branches:  # no fork at all: a tail, a rope
-            return list(range(skeleton.joint_count))
+            return [j for j in range(skeleton.joint_count) if j not in mounts_of(skeleton, places)]
         if len(branches) > 1:
             break
         carriers.update(j for j in row if below[j] == 1)
@@ -269,7 +272,7 @@ def _weigh(
         points=len(surface.points),
         pieces=surface.shell_count,
         heated=len(pieces.heated),
-        attached=len(pieces.attached),
+        attached=len(pieces.attached) + len(pieces.held),
         rigid=len(pieces.owner),
         open_pieces=int(np.count_nonzero(~surface.closed[pieces.heated])),
         vertices_around_corners=bent,
@@ -303,19 +306,22 @@ def _heating(solid: Solid, bones: Bones, skeleton: Skeleton, owners: set[int]) -
 
 def _attach(surface: Surface, pieces: Pieces, weights: Floats, bones: Bones) -> None:
     """Give what goes along its weights, in place."""
-    if not pieces.attached:
+    along = [*pieces.attached, *pieces.held]
+    if not along:
         return
     body = surface.triangles_of(np.isin(np.arange(surface.shell_count), [*pieces.heated, *pieces.owner]))
-    mine = np.nonzero(np.isin(surface.shell_of, pieces.attached))[0]
+    mine = np.nonzero(np.isin(surface.shell_of, along))[0]
     if len(body):
         triangle, shares, _ = nearest_on(surface.points, body, surface.points[mine])
         weights[mine] = np.einsum("nk,nkj->nj", shares, weights[body[triangle]])
     else:
         _, ways = bones.nearest(surface.points[mine])
         weights[mine, bones.joints[np.argmin(ways, axis=1)]] = 1.0
-    for shell in pieces.attached:
+    for shell in along:
         own = np.nonzero(surface.shell_of == shell)[0]
-        if np.linalg.norm(np.ptp(surface.points[own], axis=0)) < _STIFF * surface.size_m:
+        if shell in pieces.held:
+            weights[own] = weights[pieces.held[shell]].mean(axis=0)
+        elif np.linalg.norm(np.ptp(surface.points[own], axis=0)) < _STIFF * surface.size_m:
             weights[own] = weights[own].mean(axis=0)
 
 

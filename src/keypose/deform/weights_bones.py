@@ -14,6 +14,7 @@ from keypose.model import Skeleton
 
 _ALONG = (0.05, 0.95)  # where on a bone a twist joint may lie
 _BESIDE = 0.1  # how far beside it, in lengths of the bone
+_MOUNT = 0.1  # lengths of the bone before
 _REACH = 4.0  # a leaf is at most so many times as long as the bone before it
 _SHORT = 0.05  # of the bone before it: too short to say anything
 _INSIDE = 0.85  # and ends before the surface
@@ -62,8 +63,9 @@ def bones_of(skeleton: Skeleton, model_from_joint: Floats, joints: Iterable[int]
     chosen = set(joints)
     places = model_from_joint[:, :3, 3]
     children: list[list[int]] = [[] for _ in range(skeleton.joint_count)]
+    mounts = mounts_of(skeleton, places)
     for joint, parent in enumerate(skeleton.parents.tolist()):
-        if parent >= 0:
+        if parent >= 0 and (joint in chosen or joint not in mounts):
             children[parent].append(joint)
     ways = {joint: _ways(places, children, joint) for joint in range(skeleton.joint_count)}
     twists = {t for own in ways.values() for way in own for t in way[1:-1]}
@@ -89,6 +91,19 @@ def bones_of(skeleton: Skeleton, model_from_joint: Floats, joints: Iterable[int]
         np.array([b[1] for b in found], np.float64).reshape(-1, 3),
         np.array([b[2] for b in found], np.int64),
     )
+
+
+def mounts_of(skeleton: Skeleton, places: Floats) -> set[int]:
+    """Leaf joints almost at the place of the joint above, (J, 3) being all places: what is hung on there is no bone."""
+    parents = skeleton.parents.tolist()
+    found: set[int] = set()
+    for joint in set(range(skeleton.joint_count)) - set(parents):
+        parent = parents[joint]
+        if parent >= 0 and parents[parent] >= 0:
+            before = float(np.linalg.norm(places[parent] - places[parents[parent]]))
+            if np.linalg.norm(places[joint] - places[parent]) < _MOUNT * before:
+                found.add(joint)
+    return found
 
 
 def _ways(places: Floats, children: list[list[int]], joint: int) -> list[list[int]]:

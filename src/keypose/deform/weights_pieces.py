@@ -15,6 +15,7 @@ from keypose.model import Skeleton
 
 _BESIDE = 0.02  # of the size; what is no farther from the body than that, and holds no bone, goes along with it
 _MOSTLY = 90  # percent of its points
+_AT_ONE_PLACE = 0.4  # of the piece's size: what touches the body in no more than that is held there
 _OF_A_JOINT = 0.1  # of the size; a piece so small around a leaf joint is that joint's own, as eyes are
 _CENTRED = 0.2  # of the piece's size, how near to its middle that joint is
 _AROUND = 0.5  # winding number
@@ -27,10 +28,15 @@ def _none() -> list[int]:
 
 @dataclass(slots=True)
 class Pieces:
-    """Numbers of the shells of each kind; ``owner`` is the joint of each that has one of its own."""
+    """Numbers of the shells of each kind; ``owner`` is the joint of each that has one of its own.
+
+    ``held`` are things that touch the body at one place, as what a hand holds: they do not bend, and go along with the
+    body there; with the points that touch.
+    """
 
     heated: list[int] = field(default_factory=_none)
     attached: list[int] = field(default_factory=_none)
+    held: dict[int, Ints] = field(default_factory=dict[int, Ints])
     owner: dict[int, int] = field(default_factory=dict[int, int])
 
 
@@ -61,9 +67,18 @@ def sort_pieces(surface: Surface, skeleton: Skeleton, places: Floats, joints: Se
             waiting.append(shell)
     body = surface.triangles_of(np.isin(np.arange(surface.shell_count), [*found.heated, *found.owner]))
     for shell in waiting:
-        alone = not np.any(own_triangles == shell)
-        if alone or _beside(surface, body, rows[shell]):
+        mine = rows[shell]
+        if not np.any(own_triangles == shell) or not len(body):
             found.attached.append(shell)
+            continue
+        _, _, ways = nearest_on(surface.points, body, surface.points[mine])
+        if np.percentile(ways, _MOSTLY) < _BESIDE * surface.size_m:
+            found.attached.append(shell)
+            continue
+        touching = mine[ways <= ways.min() + _BESIDE * surface.size_m]
+        extents = [float(np.linalg.norm(np.ptp(surface.points[part], axis=0))) for part in (touching, mine)]
+        if extents[0] < _AT_ONE_PLACE * extents[1]:
+            found.held[shell] = touching
         else:
             found.heated.append(shell)
     return found
@@ -75,8 +90,3 @@ def _joint_in_middle(places: Floats, leaves: list[int], middle: Floats, size: fl
     ways = np.linalg.norm(places[leaves] - middle, axis=1)
     nearest = int(np.argmin(ways))
     return leaves[nearest] if ways[nearest] < _CENTRED * size else None
-
-
-def _beside(surface: Surface, body: Ints, mine: Ints) -> bool:
-    _, _, ways = nearest_on(surface.points, body, surface.points[mine])
-    return bool(np.percentile(ways, _MOSTLY) < _BESIDE * surface.size_m)

@@ -20,6 +20,7 @@ _COARSE = 2  # voxels to a cell of the grid of winding numbers
 _STEP = 0.5  # of a voxel, along a straight way
 _PLACES = 17  # looked at along a bone
 _AROUND = 16  # directions across it
+_VOXELS = (400_000, 2_000_000)  # at least, at most
 _CHUNK = 4_000_000  # samples at a time
 
 
@@ -79,10 +80,13 @@ class Solid:
         return np.maximum(np.where(rows, medians, np.nanmedian(medians)), self.voxel_m)
 
 
-def solid_of(surface: Surface, voxels: int) -> Solid:
-    """The solid of a surface, of about ``voxels`` in the box around it."""
+def solid_of(surface: Surface, voxels: int | None = None) -> Solid:
+    """The solid of a surface, of about ``voxels`` in the box around it; fewer for coarse meshes if not given."""
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     extent = np.maximum(high - low, 0.02 * surface.size_m)
+    if voxels is None:
+        spacing = max(float(surface.areas.sum()) / len(surface.points), 1e-12 * surface.size_m**2) ** 0.5
+        voxels = int(np.clip(np.prod(extent) / (spacing / 2) ** 3, *_VOXELS))
     edge = float(np.cbrt(np.prod(extent) / voxels))
     low = (low + high - extent) / 2 - 2.5 * edge
     shape = np.ceil(extent / edge).astype(int) + 5
