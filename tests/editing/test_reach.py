@@ -122,6 +122,29 @@ def test_targets_out_of_reach_settle(cast):
     assert np.abs(ends[0] - ends[1]).max() < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("frames", "target"), [((60, 66), (0.3, 0.25, 0.5)), ((100, 100), (0.4, 1.3, 0.75)), ((0, 3), (0.6, 0.4, 0.3))]
+)
+def test_the_whole_body_helps_where_an_arm_is_too_short(cast, frames, target):
+    motions, skeleton, roles = cast
+    idle = motions["idle"]
+    wanted = [Reach("left_hand", *frames, target=target), Reach("right_hand", 200, offset=(0.05, 0.1, 0.1))]
+    assert not reach(idle, skeleton, wanted, ease_s=0.6).converged
+    done = reach(idle, skeleton, wanted, ease_s=0.6, whole_body=True)
+    assert done.converged and done.kept_m < 1e-4
+    before, after = places(skeleton, idle), places(skeleton, done.motion)
+    assert np.linalg.norm(after[frames[0] : frames[1] + 1, roles["left_hand"]] - target, axis=-1).max() < 1e-4
+    for foot in ("left_foot", "right_foot"):
+        np.testing.assert_allclose(after[:, roles[foot]], before[:, roles[foot]], atol=2e-5)
+    assert np.abs(after[frames[0], roles["chest"]] - before[frames[0], roles["chest"]]).max() > 0.05
+    # what the other hand reaches alone leaves the trunk alone
+    assert np.array_equal(after[200, roles["chest"]], before[200, roles["chest"]])
+    ease = round(0.6 * idle.rate_hz)
+    far = np.ones(idle.frame_count, bool)
+    far[max(frames[0] - ease, 0) : frames[1] + ease + 1] = far[200 - ease : 200 + ease] = False
+    assert not done.changed[far].any()
+
+
 def test_any_chain_without_roles():
     """A tentacle that plays no role: the two bones above the joint reach, a short one moves its root."""
     count = 6

@@ -10,10 +10,9 @@ import numpy as np
 
 from keypose.arrays import Array, Floats, checked
 from keypose.editing.displacement import rotation_change
-from keypose.editing.limb_pose import bend_direction, bend_limb, limb_above
+from keypose.editing.limb_pose import keep_ends
 from keypose.editing.reach import found_roles, joint_of
 from keypose.errors import ShapeError, UnknownName
-from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
@@ -113,7 +112,10 @@ def edit_pose(
     edited = replace(motion, pose=Pose(translations, rotations, scales))
     if not keep:
         return PoseEditResult(edited, weights, 0.0)
-    return _keeping(motion, edited, skeleton, weights, keep, found_roles(skeleton) if roles is None else roles)
+    known = found_roles(skeleton) if roles is None else roles
+    joints = [joint_of(skeleton, name, known) for name in keep]
+    kept, away = keep_ends(motion, edited, skeleton, joints, np.flatnonzero(weights), known)
+    return PoseEditResult(kept, weights, away)
 
 
 def with_joints(
@@ -135,37 +137,3 @@ def with_joints(
     for name, value in (translations or {}).items():
         moved[skeleton.index(name)] = checked(np.asarray(value, np.float64), (3,), f"{name}: translation")
     return Pose(moved, turned, pose.scales)
-
-
-def _keeping(
-    before: Motion,
-    edited: Motion,
-    skeleton: Skeleton,
-    weights: Floats,
-    keep: Sequence[str],
-    roles: Mapping[str, int],
-) -> PoseEditResult:
-    """The edited motion with the ends of limbs where they were."""
-    rows = np.flatnonzero(weights)
-    span = slice(int(rows[0]), int(rows[-1]) + 1)
-    kept = 0.0
-    old_turned, old_places = world_rotations_positions(skeleton, before.pose[span])
-    for name in keep:
-        joint = joint_of(skeleton, name, roles)
-        limb = limb_above(skeleton, joint, roles)
-        if limb is None or limb.end != joint:
-            raise ShapeError(f"keep: expected the end of a limb, such as a hand or a foot, got '{name}'")
-        solved = bend_limb(
-            skeleton,
-            edited.pose[span],
-            limb,
-            old_places[:, joint],
-            bend=bend_direction(before, skeleton, limb),
-            rotations=old_turned[:, joint],
-        )
-        rotations = np.array(edited.pose.rotations)
-        for n, part in enumerate((limb.upper, limb.lower, limb.end)):
-            rotations[span, part] = solved.rotations[:, n]
-        edited = replace(edited, pose=Pose(edited.pose.translations, rotations, edited.pose.scales))
-        kept = max(kept, float(solved.error_m.max(initial=0.0)))
-    return PoseEditResult(edited, weights, kept)

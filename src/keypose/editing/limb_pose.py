@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from keypose.arrays import Floats
+from keypose.arrays import Floats, Ints
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.ik import rotation_between_frames, solve_limb
@@ -40,7 +40,7 @@ def limb_above(skeleton: Skeleton, joint: int, roles: Mapping[str, int]) -> Limb
 
     A root, and a joint right below one, has none.
     """
-    path = _path_up(skeleton, joint)
+    path = path_up(skeleton, joint)
     for side in ("left", "right"):
         for parts in (("upper_arm", "lower_arm", "hand"), ("upper_leg", "lower_leg", "foot")):
             joints = [roles.get(f"{side}_{part}", -1) for part in parts]
@@ -127,7 +127,46 @@ def bend_limb(
     return LimbPose(quat.normalize(result), np.asarray(solved.error_m))
 
 
-def _path_up(skeleton: Skeleton, joint: int) -> list[int]:
+def keep_ends(
+    before: Motion, edited: Motion, skeleton: Skeleton, joints: Sequence[int], frames: Ints, roles: Mapping[str, int]
+) -> tuple[Motion, float]:
+    """An edited motion in which the ends of limbs are where they were before, and turned so, from the first of frames to the
+    last; and how far they stay from there at most, metres.
+
+    Raises:
+        ShapeError: where a joint ends no limb.
+    """
+    limbs = [limb_above(skeleton, joint, roles) for joint in joints]
+    for joint, limb in zip(joints, limbs, strict=True):
+        if limb is None or limb.end != joint:
+            raise ShapeError(
+                f"keep: expected the end of a limb, such as a hand or a foot, got '{skeleton.names[joint]}'"
+            )
+    if not len(frames) or not limbs:
+        return edited, 0.0
+    span = slice(int(frames[0]), int(frames[-1]) + 1)
+    turned, places = world_rotations_positions(skeleton, before.pose[span])
+    away = 0.0
+    for limb in limbs:
+        if limb is None:
+            continue
+        solved = bend_limb(
+            skeleton,
+            edited.pose[span],
+            limb,
+            places[:, limb.end],
+            bend=bend_direction(before, skeleton, limb),
+            rotations=turned[:, limb.end],
+        )
+        rotations = np.array(edited.pose.broadcast().rotations)
+        for n, part in enumerate((limb.upper, limb.lower, limb.end)):
+            rotations[span, part] = solved.rotations[:, n]
+        edited = replace(edited, pose=Pose(edited.pose.translations, rotations, edited.pose.scales))
+        away = max(away, float(solved.error_m.max(initial=0.0)))
+    return edited, away
+
+
+def path_up(skeleton: Skeleton, joint: int) -> list[int]:
     """A joint and all above it."""
     path = [joint]
     while (joint := int(skeleton.parents[joint])) >= 0:

@@ -10,17 +10,21 @@ import numpy as np
 
 from keypose.arrays import Array, Floats, Ints, checked
 from keypose.editing.displacement import displace, fit_displacement, rotation_change
-from keypose.editing.limb_pose import LimbJoints, bend_direction, bend_limb, limb_above
+from keypose.editing.limb_pose import LimbJoints, bend_direction, bend_limb, keep_ends, limb_above, path_up
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world_rotations_positions
-from keypose.ik import chain_between, solve_ccd
+from keypose.ik import OrientationTask, PosePrior, PositionTask, SolveOptions, Task, chain_between, solve_pose
 from keypose.math import quat
-from keypose.model import Motion, Skeleton
+from keypose.model import Motion, Pose, Skeleton
 
 Progress = Callable[[int, int], None]
 
 REACHED_M = 1e-4
 """So near a joint has to be for its constraint to count as met."""
+
+
+_EXACT = SolveOptions(tolerance_m=1e-7)
+_PRIOR_M = 0.03  # metres that a radian of the whole body counts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,13 +81,15 @@ class ReachResult:
     """The motion after reach edits.
 
     Shapes and units: ``error_m`` for each constraint its distance left (N,) metres; ``converged`` whether all are at most
-    `REACHED_M`; ``changed`` (T,) the frames that are not as before.
+    `REACHED_M`; ``changed`` (T,) the frames that are not as before; ``kept_m`` how far ends of limbs that were to stay are from
+    their old places at most.
     """
 
     motion: Motion
     error_m: tuple[Floats, ...]
     converged: bool
     changed: np.ndarray
+    kept_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,13 +128,16 @@ def reach(
     roles: Mapping[str, int] | None = None,
     ease_s: float = 0.4,
     softness: float = 0.0,
+    whole_body: bool = False,
+    keep: Sequence[str] = ("left_foot", "right_foot"),
     progress: Progress | None = None,
 ) -> ReachResult:
     """A motion in which joints are where they should be, with a smooth displacement that begins and ends ``ease_s`` around.
 
     Hands and feet, and what hangs on them, are reached by their two bones, a root by moving it, everything else by the joints
     above it. Roots are moved first, limbs last, so that a planted foot stays planted. Frames further away are not touched at
-    all. A target out of reach is approached as far as the limb goes, and the result says so.
+    all. A target out of reach is approached as far as the limb goes, and the result says so; with ``whole_body`` trunk and
+    root help where a limb is too short, and the ends of limbs in ``keep`` (those that there are) stay where they were.
 
     Shapes and units: ``roles`` as `keypose.analysis.find_roles` finds them, which is asked if they are not given;
     ``softness`` the share of a limb's length over which it slows down before it is straight (it then stays a little short).
@@ -146,7 +155,7 @@ def reach(
     known = _roles(skeleton, roles)
     goals = [_goal(r, motion, skeleton, known) for r in reaches]
     _refuse_conflicts(goals, skeleton)
-    result = motion
+    result, kept_m = _with_body(motion, skeleton, goals, known, ease, keep) if whole_body else (motion, 0.0)
     done = 0
     for stage in _stages(goals, skeleton):
         # What rounding and a first pass leave, further ones take.
@@ -166,7 +175,8 @@ def reach(
         if progress is not None:
             progress(done, len(goals))
     errors = tuple(_errors(g, result, skeleton) for g in goals)
-    return ReachResult(result, errors, all(float(e.max()) <= REACHED_M for e in errors), changed_frames(motion, result))
+    reached = all(float(e.max()) <= REACHED_M for e in errors)
+    return ReachResult(result, errors, reached, changed_frames(motion, result), kept_m)
 
 
 def joint_of(skeleton: Skeleton, name: str, roles: Mapping[str, int]) -> int:
@@ -277,17 +287,104 @@ def _solve(
         root = goal.joint if parent < 0 else parent
         moves.setdefault(root, _Changes()).add(frames, goal.targets - places[:, goal.joint])
     else:
-        chain = _chain(skeleton, goal.joint)
-        solved = solve_ccd(skeleton, pose, chain, goal.targets, tolerance_m=1e-6, damping_rad=0.1, iterations=400)
-        new = np.asarray(solved.pose.rotations, np.float64)
-        for joint in chain[:-1]:
+        chain = _chain(skeleton, goal.joint)[:-1]
+        others = [skeleton.names[j] for j in path_up(skeleton, goal.joint) if j not in chain]
+        task = PositionTask(skeleton.names[goal.joint], goal.targets)
+        after = _solved(skeleton, pose, [task], [goal.joint], fixed=others, root="fixed", options=_EXACT)
+        new = np.asarray(after.rotations, np.float64)
+        for joint in chain:
             turns.setdefault(joint, _Changes()).add(frames, rotation_change(local[:, joint], new[:, joint]))
-        turned = np.asarray(world_rotations_positions(skeleton, solved.pose)[0], np.float64)
+        turned = np.asarray(world_rotations_positions(skeleton, after)[0], np.float64)
     if goal.reach.rotation is not None:
         above = (
             goal.reach.rotation if parent < 0 else quat.multiply(quat.conjugate(turned[:, parent]), goal.reach.rotation)
         )
         turns.setdefault(goal.joint, _Changes()).add(frames, rotation_change(local[:, goal.joint], above))
+
+
+def _with_body(
+    motion: Motion,
+    skeleton: Skeleton,
+    goals: Sequence[_Goal],
+    roles: Mapping[str, int],
+    ease: int,
+    keep: Sequence[str],
+) -> tuple[Motion, float]:
+    """The motion with trunk and root moved where a limb alone would be too short, and how far kept ends moved; limbs are for
+    later.
+
+    Only the frames of such constraints count: others leave the trunk alone, and its change must not come and go with them.
+    """
+    short = [g for g in goals if g.limb is not None and _is_short(g, motion, skeleton)]
+    if not short:
+        return motion, 0.0
+    frames = np.unique(np.concatenate([g.reach.frames for g in short]))
+    full = motion.pose.broadcast()
+    pose = Pose(full.translations[frames], full.rotations[frames], full.scales[frames])
+    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, pose))
+    tasks: list[Task] = [PosePrior(weight=_PRIOR_M)]
+    name = skeleton.names
+    for goal in goals:
+        targets, weights = places[:, goal.joint].copy(), np.zeros(len(frames))
+        at = np.isin(frames, goal.reach.frames)
+        targets[at], weights[at] = goal.targets[frames[at] - goal.reach.first], 1.0
+        tasks.append(PositionTask(name[goal.joint], targets, weights))
+    moved = {g.limb.end for g in goals if g.limb is not None}
+    kept = [j for j in (roles.get(role, -1) for role in keep) if j >= 0 and j not in moved]
+    for joint in kept:
+        tasks += [PositionTask(name[joint], places[:, joint]), OrientationTask(name[joint], turned[:, joint], 0.1)]
+    solved = _solved(skeleton, pose, tasks, [*(g.joint for g in goals), *kept])
+    limbs = [limb_above(skeleton, j, roles) for j in (*(g.joint for g in goals), *kept)]
+    later = {j for limb in limbs if limb is not None for j in (limb.upper, limb.lower, limb.end)}
+    new, old = np.asarray(solved.rotations, np.float64), np.asarray(pose.rotations, np.float64)
+    changed = np.flatnonzero(np.any(np.abs(new - old) > 1e-9, axis=(0, 2)))
+    turns = {
+        int(j): fit_displacement(frames, rotation_change(old[:, j], new[:, j]), motion.frame_count, ease).values
+        for j in changed
+        if j not in later
+    }
+    went = np.asarray(solved.translations, np.float64) - np.asarray(pose.translations, np.float64)
+    moves = {
+        int(j): fit_displacement(frames, went[:, j], motion.frame_count, ease).values
+        for j in np.flatnonzero(np.any(np.abs(went) > 1e-9, axis=(0, 2)))
+    }
+    result = displace(motion, turns, moves)
+    rows = np.flatnonzero(changed_frames(motion, result))
+    return keep_ends(motion, result, skeleton, kept, rows, roles)
+
+
+def _solved(skeleton: Skeleton, pose: Pose, tasks: Sequence[Task], ends: Sequence[int], **how: Any) -> Pose:
+    """Poses that do tasks, by the joints above some ends; fingers and faces would only make the problem larger."""
+    used = sorted({j for end in ends for j in path_up(skeleton, end)})
+    place = {joint: n for n, joint in enumerate(used)}
+    full = pose.broadcast()
+
+    def part(whole: Pose) -> Pose:
+        return Pose(whole.translations[..., used, :], whole.rotations[..., used, :], whole.scales[..., used, :])
+
+    parents = [place.get(int(skeleton.parents[j]), -1) for j in used]
+    small = Skeleton(tuple(skeleton.names[j] for j in used), np.array(parents, np.int32), part(skeleton.rest))
+    solved = solve_pose(small, part(full), tasks, **how).pose.broadcast()
+    rotations, translations = np.array(full.rotations), np.array(full.translations)
+    rotations[..., used, :], translations[..., used, :] = solved.rotations, solved.translations
+    return Pose(translations, rotations, full.scales)
+
+
+def _is_short(goal: _Goal, motion: Motion, skeleton: Skeleton) -> bool:
+    """Whether a limb alone does not get there."""
+    if goal.limb is None:
+        return False
+    solved = bend_limb(
+        skeleton,
+        motion.pose[goal.reach.first : goal.reach.last + 1],
+        goal.limb,
+        goal.targets,
+        bend=bend_direction(motion, skeleton, goal.limb),
+        rotations=goal.reach.rotation,
+        carried=goal.joint,
+        follow=not goal.keep_rotation,
+    )
+    return float(solved.error_m.max(initial=0.0)) > REACHED_M
 
 
 def _chain(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
