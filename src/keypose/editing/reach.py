@@ -24,7 +24,9 @@ REACHED_M = 1e-4
 
 
 _EXACT = SolveOptions(tolerance_m=1e-7)
-_PRIOR_M = 0.03  # metres that a radian of the whole body counts
+# What a radian of the whole body counts, in metres, and a metre of the root: so much that hips stay over the feet.
+_PRIOR_M, _PRIOR_ROOT = 0.03, 0.3
+_BODY_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +157,13 @@ def reach(
     known = _roles(skeleton, roles)
     goals = [_goal(r, motion, skeleton, known) for r in reaches]
     _refuse_conflicts(goals, skeleton)
-    result, kept_m = _with_body(motion, skeleton, goals, known, ease, keep) if whole_body else (motion, 0.0)
+    result, kept_m = motion, 0.0
+    for _ in range(_BODY_ROUNDS if whole_body else 0):
+        # Staying near the pose holds the body back a little each time.
+        short = [g for g in goals if _is_short(g, result, skeleton)]
+        if not short:
+            break
+        result, kept_m = _with_body(motion, result, skeleton, goals, short, known, ease, keep)
     done = 0
     for stage in _stages(goals, skeleton):
         # What rounding and a first pass leave, further ones take.
@@ -303,9 +311,11 @@ def _solve(
 
 
 def _with_body(
+    before: Motion,
     motion: Motion,
     skeleton: Skeleton,
     goals: Sequence[_Goal],
+    short: Sequence[_Goal],
     roles: Mapping[str, int],
     ease: int,
     keep: Sequence[str],
@@ -315,14 +325,13 @@ def _with_body(
 
     Only the frames of such constraints count: others leave the trunk alone, and its change must not come and go with them.
     """
-    short = [g for g in goals if g.limb is not None and _is_short(g, motion, skeleton)]
-    if not short:
-        return motion, 0.0
     frames = np.unique(np.concatenate([g.reach.frames for g in short]))
     full = motion.pose.broadcast()
     pose = Pose(full.translations[frames], full.rotations[frames], full.scales[frames])
-    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, pose))
-    tasks: list[Task] = [PosePrior(weight=_PRIOR_M)]
+    own = before.pose.broadcast()
+    first = Pose(own.translations[frames], own.rotations[frames], own.scales[frames])
+    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, first))
+    tasks: list[Task] = [PosePrior(weight=_PRIOR_M, root_weight=_PRIOR_ROOT)]
     name = skeleton.names
     for goal in goals:
         targets, weights = places[:, goal.joint].copy(), np.zeros(len(frames))
@@ -349,8 +358,8 @@ def _with_body(
         for j in np.flatnonzero(np.any(np.abs(went) > 1e-9, axis=(0, 2)))
     }
     result = displace(motion, turns, moves)
-    rows = np.flatnonzero(changed_frames(motion, result))
-    return keep_ends(motion, result, skeleton, kept, rows, roles)
+    rows = np.flatnonzero(changed_frames(before, result))
+    return keep_ends(before, result, skeleton, kept, rows, roles)
 
 
 def _solved(skeleton: Skeleton, pose: Pose, tasks: Sequence[Task], ends: Sequence[int], **how: Any) -> Pose:
