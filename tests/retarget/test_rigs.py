@@ -513,3 +513,69 @@ def test_an_animal_is_no_human(data_dir: Path, walk: Scene) -> None:
         retarget(motion_of(walk), walk.character.skeleton, fox)
     with pytest.raises(KeyposeError, match="four feet and the other on two"):
         retarget(motion_of(walk), walk.character.skeleton, fox, target_roles=find_roles(fox).roles)
+
+
+# ---- fingers and spines ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("file", ["fbx/ozz_pab/arnaud.fbx", "makehuman/default.mhskel", "collada/ozz/astro_maya.dae"])
+def test_fingers_point_where_the_sources_do(data_dir: Path, file: str) -> None:
+    """Two bones or three, whatever axes and rest: those that both hands have."""
+    scene = samples.open_scene("sample:wave")
+    source, motion = scene.character, motion_of(scene)
+    body = samples.open_scene(str(data_dir / file)).character.skeleton
+    done = retarget(motion, source.skeleton, body, plant=None)
+    (_, a), (_, b) = world(source.skeleton, motion.pose), world(body, done.motion.pose)
+    bones = [
+        (f"{side}_{finger}_{low}", f"{side}_{finger}_{high}")
+        for side in ("left", "right")
+        for finger, low, high in (
+            ("thumb", "metacarpal", "proximal"),
+            ("index", "proximal", "intermediate"),
+            ("middle", "proximal", "intermediate"),
+            ("little", "proximal", "intermediate"),
+        )
+    ]
+    moved = 0.0
+    for low, high in bones:
+        u, v = (
+            at[:, roles[high]] - at[:, roles[low]] for at, roles in ((a, done.source.roles), (b, done.target.roles))
+        )
+        u, v = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (u, v))
+        assert np.degrees(2.0 * np.arcsin(0.5 * np.linalg.norm(u - v, axis=-1))).max() < 0.1, low
+        moved = max(moved, float(np.ptp(u, axis=0).max()))
+    assert moved > 0.3
+
+
+def test_a_spine_of_twice_the_joints_bends_as_far(walk: Scene) -> None:
+    """A joint halfway along every bone of the trunk: the turn is shared out, and chest and head end up where they were."""
+    skeleton, motion = walk.character.skeleton, motion_of(walk)
+    trunk = [n for n in ("Spine", "Spine1", "Spine2") if n in skeleton.names]
+    names, parents, rest = list[str](), list[int](), list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+    where: dict[str, int] = {}
+    for j, name in enumerate(skeleton.names):
+        t, r, s = (
+            np.asarray(x)[j] for x in (skeleton.rest.translations, skeleton.rest.rotations, skeleton.rest.scales)
+        )
+        parent = where[skeleton.names[skeleton.parents[j]]] if skeleton.parents[j] >= 0 else -1
+        if name in trunk:
+            names.append(f"{name}_half")
+            parents.append(parent)
+            rest.append((0.5 * t, np.array([1.0, 0, 0, 0]), s))
+            parent, t = len(names) - 1, 0.5 * t
+        where[name] = len(names)
+        names.append(name)
+        parents.append(parent)
+        rest.append((t, r, s))
+    other = Skeleton(tuple(names), np.array(parents), Pose(*(np.stack(x) for x in zip(*rest, strict=True))))
+    roles = {role: where[skeleton.names[j]] for role, j in walk.character.roles.items()}
+    done = retarget(motion, skeleton, other, plant=None, source_roles=walk.character.roles, target_roles=roles)
+    plain = retarget(
+        motion, skeleton, skeleton, plant=None, source_roles=walk.character.roles, target_roles=walk.character.roles
+    )
+    (a, x), (b, y) = world(skeleton, plain.motion.pose), world(other, done.motion.pose)
+    for role in ("head", "left_upper_arm", "left_hand"):
+        j, k = walk.character.roles[role], roles[role]
+        assert np.degrees(quat.angle_between(a[:, j], b[:, k])).max() < 0.1, role
+        assert np.linalg.norm((x[:, j] - x[:, 0]) - (y[:, k] - y[:, 0]), axis=-1).max() < 0.02, role
