@@ -37,7 +37,7 @@ function document(curves: EditCurve[], end: number, markers: boolean): EditDocum
     holdFrames: 0,
     markers: markers ? [{ time: 12 / RATE, name: "contact" }, { time: 48 / RATE, name: "apex" }, { time: 84 / RATE, name: "settle" }] : [],
   };
-  return { name: "test", clips: new Map([["wave", clip]]), timelines: new Map([["main", timeline]]), poses: new Map(), characters: [{ name: "anna", scene: "s1", timeline: "main" }] };
+  return { name: "test", clips: new Map([["wave", clip]]), timelines: new Map([["main", timeline]]), poses: new Map(), rigs: [], characters: [{ name: "anna", scene: "s1", timeline: "main" }] };
 }
 
 const rad = (degrees: number) => (degrees * Math.PI) / 180;

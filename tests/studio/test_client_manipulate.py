@@ -22,7 +22,7 @@ import { mirrorPairs, sideOf } from "@/edit/viewport/sides";
 const direct = { int32: (a) => Int32Array.from(a), float64: (a) => Float64Array.from(a.flat()), float32: (a) => Float32Array.from(a.flat()) };
 function answer({ names, rest, act, joints, amount, axis, setting }) {
   if (act === "sides") return { sides: names.map(sideOf), pairs: [...mirrorPairs(names)] };
-  const rig = new Rig({ ...rest, end_offsets: [], end_joints: [] }, direct, []);
+  const rig = new Rig({ ...rest, end_offsets: [], end_joints: [], controls: 0 }, direct, []);
   const start = startOf(rig, rig.pose, rig.world);
   const found = act === "move" ? move(start, joints, amount, setting) : act === "rotate" ? rotate(start, joints, axis, amount, setting) : scale(start, joints, amount, setting);
   return [...found];

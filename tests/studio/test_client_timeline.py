@@ -38,7 +38,7 @@ const curveOf = (c) => c && { ...c, times: floats(c.times), values: floats(c.val
   inTangents: floats(c.inTangents), outTangents: floats(c.outTangents), inHandles: null, outHandles: null, types: null };
 function answer({ rest, clips, timeline, times, wanted }) {
   const direct = { int32: (a) => Int32Array.from(a), float64: floats, float32: floats };
-  const rig = new Rig({ ...rest, end_offsets: [], end_joints: [] }, direct, [0.25, 0]);
+  const rig = new Rig({ ...rest, end_offsets: [], end_joints: [], controls: 0 }, direct, [0.25, 0]);
   const placed = (p) => ({ ...p, timeWarp: curveOf(p.timeWarp), weight: curveOf(p.weight) });
   const layers = timeline.layers.map((l) => ({ ...l, placements: l.placements.map(placed),
     influence: typeof l.influence === "number" ? l.influence : curveOf(l.influence) }));

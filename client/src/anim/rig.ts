@@ -9,6 +9,9 @@ export class Pose {
   readonly rotations: Float64Array;
   readonly scales: Float64Array;
   readonly morphs: Float64Array;
+  /** Of the controls of a rig, where there is one: model_from_control and what each one's local transform is relative to, 12 numbers each. */
+  controls: Float64Array | null = null;
+  frames: Float64Array | null = null;
 
   constructor(joints: number, morphs: number) {
     this.translations = new Float64Array(3 * joints);
@@ -22,6 +25,8 @@ export class Pose {
     this.rotations.set(other.rotations);
     this.scales.set(other.scales);
     this.morphs.set(other.morphs);
+    this.controls = other.controls;
+    this.frames = other.frames;
   }
 }
 
@@ -29,6 +34,8 @@ export class Rig {
   readonly names: string[];
   readonly parents: Int32Array;
   readonly count: number;
+  /** The joints of the body; what follows are the controls of its rig. */
+  readonly jointCount: number;
   readonly rest: Pose;
   readonly pose: Pose;
   /** model_from_joint: per joint three axes and the position, 12 numbers. */
@@ -37,10 +44,16 @@ export class Rig {
   readonly ends = new Map<number, [number, number, number]>();
   private readonly byName: Map<string, number>;
 
-  constructor(data: SkeletonData, arrays: Arrays, restMorphs: ArrayLike<number>) {
+  /** Numbers of a rig by name; in a pose they follow the weights of morphs. */
+  readonly attributes: readonly string[];
+
+  constructor(data: SkeletonData, arrays: Arrays, morphs: ArrayLike<number>, attributes: Readonly<Record<string, number>> = {}) {
+    const restMorphs = [...Array.from(morphs), ...Object.values(attributes)];
+    this.attributes = Object.keys(attributes);
     this.names = data.names;
     this.parents = arrays.int32(data.parents);
     this.count = data.names.length;
+    this.jointCount = this.count - data.controls;
     this.rest = new Pose(this.count, restMorphs.length);
     this.rest.translations.set(arrays.float64(data.translations));
     this.rest.rotations.set(arrays.float64(data.rotations));
@@ -55,6 +68,17 @@ export class Rig {
     data.end_joints.forEach((joint, n) => this.ends.set(joint, [offsets[3 * n], offsets[3 * n + 1], offsets[3 * n + 2]]));
     this.byName = new Map(this.names.map((name, joint) => [name, joint]));
     this.solve();
+  }
+
+  /** A pose for this rig. */
+  newPose(): Pose {
+    return new Pose(this.count, this.rest.morphs.length);
+  }
+
+  /** Where the number of an attribute is among the morphs of a pose, or -1. */
+  attributeIndex(name: string): number {
+    const n = this.attributes.indexOf(name);
+    return n < 0 ? -1 : this.rest.morphs.length - this.attributes.length + n;
   }
 
   index(name: string): number {
@@ -98,6 +122,8 @@ export class Rig {
       world[o + 10] = ay * px + by * py + cy * pz + world[p + 10];
       world[o + 11] = az * px + bz * py + cz * pz + world[p + 11];
     }
+    // spaces and constraints put controls where the hierarchy alone does not
+    if (pose.controls) world.set(pose.controls, 12 * this.jointCount);
   }
 }
 

@@ -137,8 +137,9 @@ class BoundClip {
     const eulers = new Map<number, { target: string; whole: Curve | null; parts: { component: number; curve: Curve }[] }>();
     for (const curve of curves) {
       const { target, property, component } = curve.channel;
-      if (property === "value") continue;
-      const index = property === "weight" ? morphNames.indexOf(target) : (joints.get(target) ?? -1);
+      const isNumber = property === "weight" || property === "value";
+      const index = property === "weight" ? morphNames.indexOf(target) : property === "value" ? rig.attributeIndex(target) : (joints.get(target) ?? -1);
+      if (isNumber && curve.components !== 1) continue;
       if (index < 0) continue;
       if (property === "euler") {
         const found = eulers.get(index) ?? { target, whole: null, parts: [] };
@@ -148,7 +149,7 @@ class BoundClip {
         driven.rotations.add(index);
         continue;
       }
-      const [field, width] = FIELDS[property];
+      const [field, width] = FIELDS[isNumber ? "weight" : property];
       this.tracks.push({ field, at: index * width + (component ?? 0), curve: evaluator(curve) });
       if (field === "rotations" || field === "morphs") driven[field].add(index);
       else if (component !== null) driven[field].add(3 * index + component);
@@ -230,7 +231,7 @@ class Drive {
 class BoundLayer {
   private readonly placed: Placed[];
   private readonly shares: Float64Array | null;
-  private readonly morphShares: Float64Array | null;
+  private readonly morphShares: Float64Array | null = null;
   private readonly allowed: Record<Field, boolean>;
   /** Everything that any of its clips drives. */
   private readonly driven: Record<Field, Int32Array>;
@@ -251,9 +252,15 @@ class BoundLayer {
     const named = Object.keys(layer.joints).length > 0;
     const share = (names: readonly string[]) => (named ? Float64Array.from(names, (name) => layer.joints[name] ?? 0) : null);
     this.shares = share(rig.names);
-    this.morphShares = share(morphNames);
+    const numbers = [...morphNames, ...rig.attributes];
+    this.morphShares = share(numbers);
     const may = (...properties: string[]) => layer.properties === null || properties.some((p) => (layer.properties as readonly string[]).includes(p));
-    this.allowed = { translations: may("translation"), rotations: may("rotation", "euler"), scales: may("scale"), morphs: may("weight") };
+    this.allowed = { translations: may("translation"), rotations: may("rotation", "euler"), scales: may("scale"), morphs: may("weight", "value") };
+    if (layer.properties !== null && this.allowed.morphs) {
+      const own = (this.morphShares ??= new Float64Array(numbers.length).fill(1));
+      if (!may("weight")) own.fill(0, 0, morphNames.length);
+      if (!may("value")) own.fill(0, morphNames.length);
+    }
     const all = (field: Field) =>
       this.placed.length === 1 ? this.placed[0].bound[field] : Int32Array.from(new Set(this.placed.flatMap((p) => [...p.bound[field]])));
     this.driven = { translations: all("translations"), rotations: all("rotations"), scales: all("scales"), morphs: all("morphs") };
@@ -403,8 +410,8 @@ export class BoundTimeline implements Binding {
     const open = timeline.layers.filter((l) => !l.muted);
     const solo = open.filter((l) => l.solo);
     this.layers = (solo.length > 0 ? solo : open).map((l) => new BoundLayer(l, source, rig, morphNames));
-    this.drive = new Drive(rig.count, morphNames.length);
-    this.scratch = new Pose(rig.count, morphNames.length);
+    this.drive = new Drive(rig.count, rig.rest.morphs.length);
+    this.scratch = rig.newPose();
     const morphs = new Set<number>();
     for (const { placements } of timeline.layers)
       for (const { animation } of placements)
@@ -432,7 +439,7 @@ export class BoundTimeline implements Binding {
     const model = timeline.layers.find((l) => l.name === layerName);
     const own = this.layers.find((l) => l.layer === model) ?? (model ? new BoundLayer(model, this.source, rig, this.morphNames) : null);
     if (!own) throw new Error(`no layer '${layerName}'`);
-    const below = new Pose(rig.count, this.morphNames.length);
+    const below = rig.newPose();
     below.copy(rig.rest);
     const t = Float64Array.from(wanted.translation), r = Float64Array.from(wanted.rotation), s = Float64Array.from(wanted.scale);
     const reachable = { translation: true, rotation: true, scale: true };

@@ -1,6 +1,7 @@
 // What the parts of the editor tell each other. Values are never changed in place: an edit makes new ones, so that what
 // did not change is still the same object, and comparing is a matter of ===.
 
+import type { RigData } from "../generated/messages";
 import type { Actor } from "../view/actor";
 
 /** As keypose.model.Interpolation. */
@@ -114,6 +115,8 @@ export interface EditDocument {
   readonly clips: ReadonlyMap<string, EditClip>;
   readonly timelines: ReadonlyMap<string, EditTimeline>;
   readonly poses: ReadonlyMap<string, StoredPose>;
+  /** The rigs of its characters: controls that move their joints. */
+  readonly rigs: readonly RigData[];
   /** Character name -> id of the scene that holds its mesh, and the timeline that it performs. */
   readonly characters: readonly { readonly name: string; readonly scene: string; readonly timeline: string }[];
 }

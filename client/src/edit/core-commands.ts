@@ -79,6 +79,7 @@ export function coreCommands(): Command[] {
     layer("layer.mask", "Layer moves the selected joints alone", "", maskFromSelection, { when: () => some() && joints() }),
 
     show("show.joint", "Values of the joint", "", () => showTab("joint")),
+    show("show.rig", "Rig", "", () => showTab("rig")),
     show("show.operators", "Operators", "", () => showTab("operators")),
     show("show.poses", "Poses", "", () => showTab("poses")),
     show("show.clip", "Timeline, layer and clip", "", () => showTab("clip")),

@@ -16,6 +16,7 @@ export const EMPTY: EditDocument = {
   clips: new Map(),
   timelines: new Map(),
   poses: new Map(),
+  rigs: [],
   characters: [],
 };
 

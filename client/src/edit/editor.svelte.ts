@@ -25,6 +25,12 @@ import { layout } from "./layout.svelte";
 import type { Link, Values } from "./link";
 import { channelsFor, keyAt, keyBefore, orderOf, rotationOf, setLocal, valueAtKey, valueOf, withKey } from "./posing";
 
+/** Lets the controls of rigs move joints; `edit/rig/rigging.svelte.ts`. */
+interface Rigging {
+  apply(document: EditDocument, character: string, timeline: string, actor: Actor, time: number, pose: Pose): void;
+  refresh(): void;
+}
+
 interface Pending {
   readonly id: string;
   /** The revision that holds it, once the server has answered. */
@@ -58,6 +64,7 @@ export class Editor implements EditorContract {
   waiting = $state(0);
 
   link: Link | null = null;
+  rigging: Rigging | null = null;
   private confirmed: EditDocument = EMPTY;
   private pending: Pending[] = [];
   private previewed: Changes | null = null;
@@ -82,6 +89,9 @@ export class Editor implements EditorContract {
     if (!clip) return [];
     const rig = actor?.rig ?? null;
     const chosen = layout.onlySelected && rig && this.joints.length > 0 ? new Set(this.joints.map((j) => rig.names[j])) : null;
+    // the numbers of a control are listed with it
+    const data = chosen && this.shown.rigs.find((r) => r.character === this.character?.name);
+    for (const a of data?.attributes ?? []) if (chosen!.has(a.control)) chosen!.add(a.name);
     const text = this.query.trim().toLowerCase();
     const row = (c: ChannelId) => {
       const joint = rig ? rig.index(c.target) : -1;
@@ -299,9 +309,13 @@ export class Editor implements EditorContract {
     for (const { name, timeline } of document.characters) {
       const actor = this.actorOf(name), own = document.timelines.get(timeline);
       if (!actor) continue;
-      const over = (time: number, pose: Pose) => actor === this.actor && this.applyPosed(time, pose);
+      const over = (time: number, pose: Pose) => {
+        if (actor === this.actor) this.applyPosed(time, pose);
+        this.rigging?.apply(document, name, timeline, actor, time, pose);
+      };
       actor.setAnimation(own ? new TimelineAnimation(document, own, actor.sceneId, over) : null);
     }
+    this.rigging?.refresh();
     studio.view.invalidatePose();
   }
 
@@ -312,13 +326,13 @@ export class Editor implements EditorContract {
   private writePose({ rig, morphNames }: Actor, pose: Pose, values: ReadonlyMap<string, readonly number[]>): void {
     for (const [key, value] of values) {
       const [target, property] = key.split("\u0000") as [string, Property];
-      if (property === "weight") {
-        const m = morphNames.indexOf(target);
+      if (property === "weight" || property === "value") {
+        const m = property === "weight" ? morphNames.indexOf(target) : rig.attributeIndex(target);
         if (m >= 0) pose.morphs[m] = value[0];
         continue;
       }
       const joint = rig.index(target);
-      if (joint < 0 || property === "value") continue;
+      if (joint < 0) continue;
       if (property === "euler") setLocal(pose, joint, "rotation", rotationOf(value, orderOf(this.clip, target)));
       else setLocal(pose, joint, property, value);
     }
@@ -437,12 +451,12 @@ export class Editor implements EditorContract {
     for (const channel of channels) {
       const known = clip.curves.get(channel.key);
       let value: number[] | null = null;
-      if (channel.property === "weight") {
-        const m = morphNames.indexOf(channel.target);
+      if (channel.property === "weight" || channel.property === "value") {
+        const m = channel.property === "weight" ? morphNames.indexOf(channel.target) : rig.attributeIndex(channel.target);
         if (m >= 0) value = [rig.pose.morphs[m]];
       } else {
         const joint = rig.index(channel.target);
-        if (joint < 0 || channel.property === "value") continue;
+        if (joint < 0) continue;
         if (!cache.has(joint)) cache.set(joint, values(joint));
         const local = cache.get(joint)!;
         const near = known && channel.component === null ? valueAtKey(known, keyBefore(known, time)) : null;
@@ -476,6 +490,15 @@ export class Editor implements EditorContract {
     const changes = this.keyed(actor, clip, names.map((name) => channelOf(name, "weight")), this.posed);
     this.posed = new Map();
     this.commit(`Key ${names.length === 1 ? names[0] : `${names.length} shapes`}`, changes);
+  }
+
+  /** Key numbers of a rig as they are now. */
+  insertValueKeys(names: readonly string[]): void {
+    const { actor, clip } = this;
+    if (!actor || !clip || names.length === 0) return;
+    const changes = this.keyed(actor, clip, names.map((name) => channelOf(name, "value")), this.posed);
+    this.posed = new Map();
+    this.commit(`Key ${names.length === 1 ? names[0] : `${names.length} numbers`}`, changes);
   }
 
   /** Remove the keys of channels at the current time. */

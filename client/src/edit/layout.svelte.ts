@@ -3,7 +3,7 @@
 import type { KeyMap } from "./commands";
 import type { RotationStyle } from "./posing";
 
-export type RightTab = "joint" | "operators" | "poses" | "clip";
+export type RightTab = "joint" | "rig" | "operators" | "poses" | "clip";
 
 const KEY = "keypose.edit";
 const LIMITS = { left: [188, 420], right: [248, 460], bottom: [120, 620], layers: [96, 520] } as const;

@@ -127,6 +127,7 @@ export function readState(state: ProjectState, container: Container<Envelope>): 
     clips: named(state.clips.map((c) => reader.clip(c))),
     timelines: named(state.timelines.map((t) => reader.timeline(t))),
     poses: named(state.poses as StoredPose[]),
+    rigs: state.rigs,
     characters: characters(state.characters),
   };
 }
@@ -146,6 +147,7 @@ export function readChanged(before: EditDocument, change: ProjectChanged, contai
     clips: next(before.clips, change.removed_clips, change.clips.map((c) => reader.changed(before.clips.get(c.name), c))),
     timelines: next(before.timelines, change.removed_timelines, change.timelines.map((t) => reader.timeline(t))),
     poses: next(before.poses, change.removed_poses, change.poses as StoredPose[]),
+    rigs: change.rigs ?? before.rigs,
     characters: change.characters ? characters(change.characters) : before.characters,
   };
 }

@@ -26,6 +26,7 @@ export interface SkeletonData {
   scales: ArrayRef;
   end_joints: number[];
   end_offsets: ArrayRef;
+  controls: number;
 }
 
 /** An encoded picture, as the file held it. */
@@ -87,6 +88,7 @@ export interface CharacterData {
   parts: PartData[];
   morph_names: string[];
   rest_morph_weights: ArrayRef;
+  attributes: Record<string, number>;
   roles: Record<string, number>;
 }
 

@@ -78,6 +78,13 @@ export class Connection {
     throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
   }
 
+  /** A container of ours, answered by another. */
+  async exchange(path: string, body: Blob): Promise<ArrayBuffer> {
+    const response = await fetch(path, { method: "POST", headers: this.headers, body });
+    if (!response.ok) throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
+    return response.arrayBuffer();
+  }
+
   async json<R>(path: string): Promise<R> {
     return JSON.parse(await (await this.file(path)).text()) as R;
   }

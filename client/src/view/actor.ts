@@ -57,7 +57,7 @@ export class Actor {
     this.id = `${sceneId}#${index}`;
     this.name = data.name || fallbackName;
     this.morphNames = data.morph_names;
-    this.rig = new Rig(data.skeleton, arrays, arrays.float32(data.rest_morph_weights));
+    this.rig = new Rig(data.skeleton, arrays, arrays.float32(data.rest_morph_weights), data.attributes);
     this.morphOverrides = new Float64Array(this.morphNames.length).fill(NaN);
     this.sources = partSources(data.parts, arrays, textures);
     this.hasMesh = this.sources.length > 0;
@@ -97,7 +97,7 @@ export class Actor {
         if (Number.isFinite(point.x + point.y + point.z)) this.bounds.expandByPoint(point);
       }
     }
-    if (this.bounds.isEmpty()) for (let joint = 0; joint < this.rig.count; joint++) this.bounds.expandByPoint(this.jointPosition(joint, point));
+    if (this.bounds.isEmpty()) for (let joint = 0; joint < this.rig.jointCount; joint++) this.bounds.expandByPoint(this.jointPosition(joint, point));
     if (this.bounds.isEmpty()) this.bounds.set(new THREE.Vector3(-0.5, 0, -0.5), new THREE.Vector3(0.5, 1, 0.5));
   }
 
@@ -107,7 +107,7 @@ export class Actor {
     this.evaluate(animation?.start ?? 0);
     this.measure();
     if (!animation) return;
-    const pose = new Pose(this.rig.count, this.morphNames.length), world = new Float64Array(12 * this.rig.count);
+    const pose = this.rig.newPose(), world = new Float64Array(12 * this.rig.count);
     const root = new THREE.Vector3(), point = new THREE.Vector3();
     for (let n = 1; n <= 24; n++) {
       this.evaluate(animation.start + (n / 24) * animation.duration, pose, world);
@@ -121,7 +121,7 @@ export class Actor {
 
   /** The joints that hold something to see; cameras and lamps of a file are joints too. */
   private visibleJoints(): Iterable<number> {
-    if (!this.hasMesh) return this.rig.parents.keys();
+    if (!this.hasMesh) return Array(this.rig.jointCount).keys();
     return new Set(this.sources.flatMap(({ skin, data }) => (skin ? [...skin.palette] : [data.joint ?? 0])));
   }
 
@@ -155,7 +155,7 @@ export class Actor {
     const { animation } = this;
     if (!animation) return 0;
     const box = new THREE.Box2(), point = new THREE.Vector3(), flat = new THREE.Vector2();
-    const pose = new Pose(this.rig.count, this.morphNames.length), world = new Float64Array(12 * this.rig.count);
+    const pose = this.rig.newPose(), world = new Float64Array(12 * this.rig.count);
     for (let n = 0; n <= 16; n++) {
       this.evaluate(animation.start + (n / 16) * animation.duration, pose, world);
       this.jointPosition(this.rootJoint, point, world);

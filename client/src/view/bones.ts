@@ -13,7 +13,7 @@ interface Bone {
 
 function bonesOf(rig: Rig): Bone[] {
   const bones: Bone[] = [];
-  for (let joint = 0; joint < rig.count; joint++) {
+  for (let joint = 0; joint < rig.jointCount; joint++) {
     for (const child of rig.children[joint]) bones.push({ joint, child, end: null });
     const end = rig.ends.get(joint);
     if (end) bones.push({ joint, child: -1, end });
@@ -59,11 +59,11 @@ export class Bones {
   ) {
     this.bones = bonesOf(rig);
     this.size = height;
-    this.reach = new Float64Array(rig.count);
+    this.reach = new Float64Array(rig.jointCount);
     const solid = style === "solid";
     const material = new THREE.MeshStandardMaterial({ roughness: solid ? 0.55 : 0.7, metalness: 0, flatShading: !solid });
     this.shafts = new THREE.InstancedMesh(boneGeometry(solid ? 10 : 4), material, Math.max(1, this.bones.length));
-    this.balls = new THREE.InstancedMesh(new THREE.IcosahedronGeometry(1, solid ? 3 : 2), material.clone(), Math.max(1, rig.count));
+    this.balls = new THREE.InstancedMesh(new THREE.IcosahedronGeometry(1, solid ? 3 : 2), material.clone(), Math.max(1, rig.jointCount));
     (this.balls.material as THREE.MeshStandardMaterial).flatShading = false;
     this.shafts.count = this.bones.length;
     for (const mesh of [this.shafts, this.balls]) {
@@ -83,7 +83,7 @@ export class Bones {
     const color = (joint: number) =>
       joint === active ? palette.accent : joint === hovered ? palette.hover : selected.has(joint) ? palette.selected : held.has(joint) ? palette.held : base;
     this.bones.forEach((bone, n) => this.shafts.setColorAt(n, color(bone.joint)));
-    for (let joint = 0; joint < this.rig.count; joint++) this.balls.setColorAt(joint, color(joint));
+    for (let joint = 0; joint < this.rig.jointCount; joint++) this.balls.setColorAt(joint, color(joint));
     for (const mesh of [this.shafts, this.balls]) if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
   }
 
@@ -128,7 +128,7 @@ export class Bones {
       shafts[o + 12] = hx; shafts[o + 13] = hy; shafts[o + 14] = hz; shafts[o + 15] = 1;
     }
     const balls = this.balls.instanceMatrix.array as Float32Array;
-    for (let joint = 0; joint < this.rig.count; joint++) {
+    for (let joint = 0; joint < this.rig.jointCount; joint++) {
       const parent = this.rig.parents[joint];
       // as thick as what it holds; a leaf as thin as the bone that reaches it
       const radius = Math.max(thin, 0.75 * (reach[joint] || 0.7 * (parent >= 0 ? reach[parent] : thick)));
@@ -167,14 +167,14 @@ export class Axes {
   ) {
     const { rest, parents } = rig;
     const reach = (joint: number) => Math.hypot(...rest.translations.subarray(3 * joint, 3 * joint + 3));
-    this.lengths = Float64Array.from({ length: rig.count }, (_, joint) => {
+    this.lengths = Float64Array.from({ length: rig.jointCount }, (_, joint) => {
       const bones = rig.children[joint].map(reach).filter((length) => length > 1e-6);
       const bone = bones.length > 0 ? Math.min(...bones) : parents[joint] >= 0 ? reach(joint) : height;
       return Math.max(0.007 * height, Math.min(0.035 * height, 0.4 * bone));
     });
-    this.positions = new Float32Array(18 * rig.count);
-    const colors = new Float32Array(18 * rig.count);
-    for (let n = 0; n < 6 * rig.count; n++) AXIS_COLORS[(n >> 1) % 3].toArray(colors, 3 * n);
+    this.positions = new Float32Array(18 * rig.jointCount);
+    const colors = new Float32Array(18 * rig.jointCount);
+    for (let n = 0; n < 6 * rig.jointCount; n++) AXIS_COLORS[(n >> 1) % 3].toArray(colors, 3 * n);
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(this.positions, 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3));
@@ -184,7 +184,7 @@ export class Axes {
 
   write(world: Float64Array): void {
     const out = this.positions;
-    for (let joint = 0; joint < this.rig.count; joint++) {
+    for (let joint = 0; joint < this.rig.jointCount; joint++) {
       const o = 12 * joint;
       const px = world[o + 9], py = world[o + 10], pz = world[o + 11];
       for (let axis = 0; axis < 3; axis++) {

@@ -37,7 +37,7 @@ export class Ghosts {
     private readonly settings: GhostSettings,
     palette: Palette,
   ) {
-    this.pose = new Pose(actor.rig.count, actor.morphNames.length);
+    this.pose = actor.rig.newPose();
     this.world = new Float64Array(12 * actor.rig.count);
     const behind = 0.05 * actor.height;
     const plainDepth = this.keep(ghostDepthMaterial(behind));

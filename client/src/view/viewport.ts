@@ -392,8 +392,12 @@ export class Viewport {
 
   /** Where a point of an actor's space is on the canvas, in CSS pixels, and how far from the camera. */
   project(actor: Actor, point: THREE.Vector3): [number, number, number] {
+    return this.projectStage(actor.toStage(point));
+  }
+
+  /** The same for a point of the stage, which becomes something else. */
+  projectStage(point: THREE.Vector3): [number, number, number] {
     const { camera } = this.orbit;
-    actor.toStage(point);
     const distance = point.distanceTo(camera.position);
     point.project(camera);
     const { clientWidth: w, clientHeight: h } = this.canvas;
@@ -407,7 +411,7 @@ export class Viewport {
     for (const actor of this.actors) {
       if (!actor.visible) continue;
       const screen = new Float64Array(3 * actor.rig.count);
-      for (let joint = 0; joint < actor.rig.count; joint++)
+      for (let joint = 0; joint < actor.rig.jointCount; joint++)
         screen.set(this.project(actor, actor.jointPosition(joint, this.point)), 3 * joint);
       const consider = (joint: number, distance: number) => {
         if (distance < nearest) {
@@ -415,7 +419,7 @@ export class Viewport {
           best = { actor, joint };
         }
       };
-      for (let joint = 0; joint < actor.rig.count; joint++) {
+      for (let joint = 0; joint < actor.rig.jointCount; joint++) {
         const [jx, jy, depth] = screen.subarray(3 * joint, 3 * joint + 3);
         if (depth === Infinity) continue;
         consider(joint, 0.8 * Math.hypot(jx - x, jy - y));

@@ -367,7 +367,13 @@ class Editing:
         if key not in self._shown:
             number = f"c{next(self._numbers)}"
             shown = character if rig is None else replace(character, skeleton=rigged_skeleton(rig, character.skeleton))
-            data = await asyncio.to_thread(encode, Scene((shown,), format="keypose"), id=number, name=character.name)
+            data = await asyncio.to_thread(
+                encode,
+                Scene((shown,), format="keypose"),
+                id=number,
+                name=character.name,
+                rig=rig,
+            )
             self._shown[key] = (character, controls), messages.SceneEntry(number, character.name, len(data)), data
         return self._shown[key][1]
 

@@ -15,6 +15,7 @@ from keypose.model import (
     MorphSet,
     Motion,
     Part,
+    Rig,
     Scene,
     Skeleton,
     Skin,
@@ -27,15 +28,19 @@ INFLUENCES = 4
 _ELEMENT_OF = {np.float64: "float64", np.float32: "float32", np.uint8: "uint8"}
 
 
-def encode(scene: Scene, *, id: str, name: str) -> bytes:
-    """The container of a scene; arrays go to float32, curve times stay float64."""
-    return _Encoder().scene(scene, id, name)
+def encode(scene: Scene, *, id: str, name: str, rig: Rig | None = None) -> bytes:
+    """The container of a scene; arrays go to float32, curve times stay float64.
+
+    ``rig``: whose controls are the last joints of its characters.
+    """
+    return _Encoder(rig).scene(scene, id, name)
 
 
 class _Encoder:
     """Adds arrays to one body; pictures and skins that several parts share are sent once."""
 
-    def __init__(self) -> None:
+    def __init__(self, rig: Rig | None) -> None:
+        self.rig = rig
         self.body = Body()
         self.notes: list[str] = []
         self.images: list[messages.PictureData] = []
@@ -74,6 +79,7 @@ class _Encoder:
             scales=self.body.add(skeleton.rest.scales, "float64"),
             end_joints=[int(joint) for joint, _ in ends],
             end_offsets=self._floats(np.array([offset for _, offset in ends]).reshape(-1, 3)),
+            controls=0 if self.rig is None else self.rig.controls.joint_count,
         )
 
     def _character(self, character: Character) -> messages.CharacterData:
@@ -83,6 +89,7 @@ class _Encoder:
             parts=[self._part(p) for p in character.parts],
             morph_names=list(character.morph_names),
             rest_morph_weights=self._floats(character.rest_morph_weights),
+            attributes={} if self.rig is None else {a.name: float(a.default) for a in self.rig.attributes},
             roles={role: int(joint) for role, joint in character.roles.items()},
         )
 

@@ -35,7 +35,10 @@ class SceneEntry:
 
 @dataclass(frozen=True, slots=True)
 class SkeletonData:
-    """Joints, parents before children; rest translations (J, 3), rotations (J, 4) wxyz, scales (J, 3)."""
+    """Joints, parents before children; rest translations (J, 3), rotations (J, 4) wxyz, scales (J, 3).
+
+    The last ``controls`` of them are a rig's, with rest transforms in its own hierarchy.
+    """
 
     names: list[str]
     parents: ArrayRef
@@ -44,6 +47,7 @@ class SkeletonData:
     scales: ArrayRef
     end_joints: list[int]
     end_offsets: ArrayRef
+    controls: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +121,7 @@ class CharacterData:
     parts: list[PartData]
     morph_names: list[str]
     rest_morph_weights: ArrayRef
+    attributes: dict[str, float]
     roles: dict[str, int]
 
 

@@ -52,7 +52,7 @@ export interface Local {
 export type Locals = Map<number, Local>;
 
 export function startOf(rig: Rig, pose: Pose, world: Float64Array): Start {
-  const copy = { translations: pose.translations.slice(), rotations: pose.rotations.slice(), scales: pose.scales.slice(), morphs: pose.morphs.slice() };
+  const copy = { translations: pose.translations.slice(), rotations: pose.rotations.slice(), scales: pose.scales.slice(), morphs: pose.morphs.slice(), controls: pose.controls, frames: pose.frames };
   return { rig, pose: copy as Pose, world: world.slice() };
 }
 
@@ -61,7 +61,8 @@ export const rotationOf = ({ pose }: Start, joint: number): Quat => [...pose.rot
 export const scaleOf = ({ pose }: Start, joint: number): Vec => [...pose.scales.subarray(3 * joint, 3 * joint + 3)] as unknown as Vec;
 
 /** model_from_parent without its translation; the identity for roots. */
-export function parentColumns({ rig, world }: Start, joint: number): Basis {
+export function parentColumns({ rig, pose, world }: Start, joint: number): Basis {
+  if (joint >= rig.jointCount && pose.frames) return columnsOf(pose.frames, joint - rig.jointCount);
   const parent = rig.parents[joint];
   return parent < 0 ? IDENTITY : columnsOf(world, parent);
 }
@@ -91,7 +92,7 @@ export function pivotOf(start: Start, joints: readonly number[], pivot: Pivot): 
   return scaled(tops.map((j) => placeOf(start.world, j)).reduce(add), 1 / tops.length);
 }
 
-export const canMove = (rig: Rig, joint: number, { detach }: Setting): boolean => detach || rig.parents[joint] < 0;
+export const canMove = (rig: Rig, joint: number, { detach }: Setting): boolean => detach || rig.parents[joint] < 0 || joint >= rig.jointCount;
 
 /** The local translation that puts a joint at a place of the character's space. */
 function translationTo(start: Start, joint: number, delta: Vec): Vec | null {

@@ -2,7 +2,6 @@
 
 import type * as THREE from "three";
 import { bindTimeline } from "../../anim/timeline";
-import { Pose } from "../../anim/rig";
 import type { Actor } from "../../view/actor";
 import type { Viewport } from "../../view/viewport";
 import type { Changes, EditClip, EditCurve, Editor } from "../contract";
@@ -79,7 +78,7 @@ export class PathDrag {
     this.sight = new CameraSight(view, actor);
     this.from = vec(key.position);
     this.first = this.onPicture(pointer.x, pointer.y);
-    const pose = new Pose(actor.rig.count, actor.morphNames.length), world = new Float64Array(12 * actor.rig.count);
+    const pose = actor.rig.newPose(), world = new Float64Array(12 * actor.rig.count);
     actor.evaluate(key.time, pose, world);
     const { joint } = key;
     this.before = {

@@ -155,7 +155,7 @@ export class MotionPaths {
       this.times = times;
       this.isFrame = Uint8Array.from(times, (t) => Number(Math.abs((t - range.start) * range.rate - Math.round((t - range.start) * range.rate)) < SAME * range.rate));
       this.stale = new Uint8Array(times.length);
-      this.pose = new Pose(actor.rig.count, actor.morphNames.length);
+      this.pose = actor.rig.newPose();
       this.world = new Float64Array(12 * actor.rig.count);
       this.paths = joints.map((joint, n) => new Path(joint, keys[n], Uint8Array.from(times, (t) => Number(keys[n].times.some((k) => Math.abs(k - t) < SAME))), times.length));
       for (const path of this.paths) this.group.add(path.line, path.dots);

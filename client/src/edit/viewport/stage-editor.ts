@@ -6,6 +6,8 @@ import type { Actor } from "../../view/actor";
 import { NO_MARKS, type Marks } from "../../view/bones";
 import type { Viewport } from "../../view/viewport";
 import { channelOf, type Editor } from "../contract";
+import { ControlLines } from "../rig/control-lines";
+import { rigging } from "../rig/rigging.svelte";
 import { Drag, type Outcome } from "./drag";
 import { Gizmo, type Handle } from "./gizmo";
 import { axesOf, canMove, pivotOf, startOf, type Locals, type Mode } from "./manipulate";
@@ -17,6 +19,7 @@ import { tools } from "./tools.svelte";
 
 const CLICK_PX = 4;
 const BONE_REACH = 10;
+const CONTROL_REACH = 9;
 const LABELS: Record<Mode, string> = { move: "Move", rotate: "Rotate", scale: "Scale" };
 
 type Held = ReadonlyMap<string, readonly number[]>;
@@ -26,6 +29,8 @@ export class StageEditor {
   readonly paths: MotionPaths;
   drag: Drag | null = null;
   private pathDrag: PathDrag | null = null;
+  /** The outlines of the controls of the rig that is edited. */
+  controls: ControlLines | null = null;
   private dragActor: Actor | null = null;
   private heldBefore: Held = new Map();
   private outcome: Outcome | null = null;
@@ -75,6 +80,7 @@ export class StageEditor {
     for (const undo of this.undo) undo();
     this.view.beforeDraw.delete(this.prepare);
     this.gizmo.dispose();
+    this.controls?.dispose();
     this.paths.dispose();
     this.view.marks = null;
     this.view.surface = "shaded";
@@ -99,10 +105,24 @@ export class StageEditor {
     for (const key of editor.posed.keys()) held.add(editor.actor?.rig.index(key.split("\u0000")[0]) ?? -1);
     const marks: Marks = { held, selected: new Set(joints), hovered: tools.hovered, active: joints.at(-1) ?? -1 };
     view.marks = editor.actor === null ? NO_MARKS : marks;
+    this.syncControls(marks);
     if (!this.drag) this.gizmo.mode = tools.tool === "select" ? null : tools.tool;
     this.gizmo.present = editor.actor !== null && joints.length > 0;
     this.gizmo.setTheme(view.theme);
     view.paintJoints();
+  }
+
+  private syncControls(marks: Marks): void {
+    const { actor } = this.editor, data = rigging.active;
+    if (this.controls && (this.controls.actor !== actor || this.controls.data !== data)) {
+      this.controls.dispose();
+      this.controls = null;
+    }
+    if (actor && data && !this.controls) {
+      this.controls = new ControlLines(actor, data);
+      this.view.tools.add(this.controls.lines);
+    }
+    this.controls?.paint(this.view.theme, marks);
   }
 
   private readonly prepare = (): void => {
@@ -110,6 +130,10 @@ export class StageEditor {
     const { actor } = editor, joints = this.joints;
     const shown = studio.page === "edit" || this.always;
     view.tools.visible = shown;
+    if (this.controls) {
+      this.controls.lines.visible = tools.controls && !view.filming && (actor?.visible ?? false);
+      if (this.controls.lines.visible) this.controls.write();
+    }
     gizmo.present = shown && actor !== null && joints.length > 0 && !studio.playing && !view.filming;
     if (gizmo.present && actor) {
       const now = { rig: actor.rig, pose: actor.rig.pose, world: actor.rig.world };
@@ -138,6 +162,8 @@ export class StageEditor {
     const { editor, view } = this;
     const { actor } = editor;
     if (!actor) return -1;
+    const control = this.controlAt(x, y);
+    if (control >= 0) return control;
     if (view.display.bones || !actor.hasMesh || tools.surface === "none") {
       const hit = view.pick(x, y, BONE_REACH);
       if (hit?.actor === actor) return hit.joint;
@@ -145,6 +171,14 @@ export class StageEditor {
     const { origin, direction } = new CameraSight(view, actor).ray(x, y);
     const ray = new THREE.Ray(new THREE.Vector3(...(origin as [number, number, number])), new THREE.Vector3(...(direction as [number, number, number])));
     return actor.pickSurface(ray)?.joint ?? -1;
+  }
+
+  /** The control whose outline is at a point of the canvas, or -1. */
+  controlAt(x: number, y: number): number {
+    const { controls, view } = this;
+    if (!controls?.lines.visible) return -1;
+    // the lines lie on the stage already
+    return controls.pick(x, y, CONTROL_REACH, (point) => view.projectStage(point))?.joint ?? -1;
   }
 
   private click(x: number, y: number, more: boolean): void {
@@ -167,6 +201,8 @@ export class StageEditor {
     const inside: number[] = [];
     for (let joint = 0; joint < actor.rig.count; joint++) {
       const [x, y, depth] = view.project(actor, actor.jointPosition(joint, this.place));
+      // of a rig, its controls alone
+      if (this.controls?.lines.visible && joint < actor.rig.jointCount) continue;
       if (depth !== Infinity && x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height) inside.push(joint);
     }
     const before = more ? this.joints.filter((j) => !inside.includes(j)) : [];
@@ -256,6 +292,8 @@ export class StageEditor {
     if (!this.pointer.inside) return this.hover(null, -1);
     this.paths.hoverAt(x, y);
     const handle = this.gizmo.handleAt(x, y);
+    const control = handle && handle !== "free" ? -1 : this.controlAt(x, y);
+    if (control >= 0) return this.hover(handle, control);
     const hit = handle && handle !== "free" ? null : this.view.display.bones ? this.view.pick(x, y, BONE_REACH) : null;
     this.hover(handle, hit && hit.actor === this.editor.actor ? hit.joint : -1);
   };

@@ -17,6 +17,8 @@ export class ViewTools {
   detach = $state(false);
   surface = $state<Surface>("shaded");
   bones = $state(true);
+  /** The controls of a rig, and its joints too, which are moved by them. */
+  controls = $state(true);
   axes = $state(false);
   /** Paths of joints in time; of the selected ones where none are pinned. */
   paths = $state(false);
@@ -51,8 +53,8 @@ export class ViewTools {
   }
 
   private habits() {
-    const { tool, space, turns, detach, bones, speedColors, ghostsBy, ghostCount, ghostStep } = this;
-    return { tool, space, turns, detach, bones, speedColors, ghostsBy, ghostCount, ghostStep };
+    const { tool, space, turns, detach, bones, controls, speedColors, ghostsBy, ghostCount, ghostStep } = this;
+    return { tool, space, turns, detach, bones, controls, speedColors, ghostsBy, ghostCount, ghostStep };
   }
 
   remember(): void {
