@@ -50,7 +50,7 @@ def smooth_weights(
 ) -> Skin:
     """The skin with weights evened out over the surface: each time every vertex goes ``amount`` of the way to the mean of its neighbours.
 
-    Vertices at the same place are one. ``vertices`` are flags (V,) or indices of those that may change; at most
+    Vertices at the same place are one; meshes that touch have to be smoothed as one. ``vertices`` are flags (V,) or indices of those that may change; at most
     ``max_influences`` joints hold a vertex, as many as before if not given.
 
     Raises:
