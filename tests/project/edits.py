@@ -7,13 +7,19 @@ from typing import Any
 import numpy as np
 
 from keypose.model import (
+    Attribute,
     Channel,
     Character,
     Clip,
+    Constraint,
+    ConstraintKind,
+    Control,
     Curve,
     CurveKind,
     Document,
+    Driver,
     Extrapolation,
+    FollowModule,
     Image,
     Interpolation,
     Layer,
@@ -26,6 +32,7 @@ from keypose.model import (
     Placement,
     Pose,
     Property,
+    Rig,
     Skeleton,
     Skin,
     StoredPose,
@@ -137,6 +144,21 @@ def random_pose(rng: np.random.Generator, name: str) -> StoredPose:
     return StoredPose(name, ("Mid", "Tip"), pose, {"wide": float(rng.random())})
 
 
+def small_rig(rng: np.random.Generator, name: str, character: str) -> Rig:
+    """Two controls of a small character, a constraint, a driver."""
+    rest = Pose(rng.normal(size=(2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), np.ones((2, 3)))
+    return Rig(
+        name,
+        character,
+        Skeleton(("base", "tip_control"), np.array([-1, 0]), rest),
+        (Control("base"), Control("tip_control", size_m=float(rng.uniform(0.1, 1)))),
+        (Attribute("bend", "base", float(rng.random())),),
+        (FollowModule("all", ("Root", "Tip"), ("base", "tip_control")),),
+        (Constraint("aim", ConstraintKind.AIM, "Mid", ("tip_control",), weight_attribute="bend"),),
+        (Driver(Channel("tip_control", Property.EULER, 0), "bend * 2", random_curve(rng, CurveKind.SCALAR)),),
+    )
+
+
 def random_commands(rng: np.random.Generator, document: Document, *, page: bool = False) -> list[c.Command]:
     """One to three commands that can be applied to a document, one after the other; with ``page``, such as pages send."""
     made: list[c.Command] = []
@@ -185,6 +207,14 @@ def _random_command(rng: np.random.Generator, document: Document, page: bool) ->
         ]
         if not page:
             choices.append(lambda: c.RemoveCharacter(one_of(document.characters)))
+            bare = [name for name in document.characters if document.rig_of(name) is None]
+            if bare:
+                choices.append(lambda: c.SetRig(small_rig(rng, f"rig {rng.integers(1 << 30)}", str(rng.choice(bare)))))
+    if document.rigs:
+        choices += [
+            lambda: c.RemoveRig(one_of(document.rigs)),
+            lambda: c.Rename("rig", one_of(document.rigs), f"renamed {rng.integers(1 << 30)}"),
+        ]
     return choices[rng.integers(len(choices))]()
 
 

@@ -16,12 +16,24 @@ from keypose import io
 from keypose.errors import FormatError, KeyposeError
 from keypose.evaluate.performing import perform
 from keypose.io import native
-from keypose.model import Channel, Curve, CurveKind, Document, Interpolation, Placement, Property, Scene
+from keypose.model import (
+    Channel,
+    Curve,
+    CurveKind,
+    Document,
+    FootPivots,
+    Interpolation,
+    LimbModule,
+    Placement,
+    Property,
+    Scene,
+)
 from keypose.project import commands as c
 from keypose.project.file import from_bytes, load, save
 from tests.project.edits import random_document, small_character
 
 GOLDEN = Path(__file__).with_name("golden_1.keypose")
+GOLDEN_2 = Path(__file__).with_name("golden_2.keypose")
 
 
 def rewritten(data: bytes, change: Callable[[dict], None]) -> bytes:
@@ -93,6 +105,30 @@ def test_version_1_is_opened_for_ever() -> None:
     assert document.timeline("tube").layer("Base").placements[0].animation == "tube"
     assert dict(document.settings) == {"grid": True, "zoom": 0.1, "look": "graph"}
     assert document.pose("fist").pose.rotations[1].tolist() == [0.5, -0.5, 0.5, -0.5]
+
+
+def test_version_2_with_its_rig_is_opened_for_ever() -> None:
+    document = load(GOLDEN_2)
+    assert native.document_bytes(document) == GOLDEN_2.read_bytes()
+    rig = document.rig("stick's rig")
+    assert document.rig_of("stick") is rig
+    assert [type(module).__name__ for module in rig.modules] == [
+        "FollowModule", "LimbModule", "SpineModule", "HeadModule", "EyesModule", "FingersModule", "TwistModule",
+    ]  # fmt: skip
+    leg = rig.modules[1]
+    assert isinstance(leg, LimbModule)
+    assert leg.foot == FootPivots(
+        "foot", (0, 0, -0.25), (0, 0, 0.25), (0, 0, 0.5), (0.125, 0, 0.25), (-0.125, 0, 0.25), "j4", "c4"
+    )
+    assert rig.controls.rest.translations[3].tolist() == [9 / 8, 10 / 8, 11 / 8]
+    assert [s.target for s in rig.control("c13").spaces] == ["", "c0", "j0"]
+    assert rig.attribute("c13.space").choices == ("a", "b", "c")
+    limit = rig.constraints[1]
+    assert (limit.low, limit.high) == ((-np.inf, 0.0, -1.5), (np.inf, 2.5, np.inf))
+    curve = rig.drivers[0].curve
+    assert curve is not None
+    assert np.array_equal(curve.times_s, [0.0, 0.1, 1 / 3])
+    assert rig.drivers[1].expression == "0.5 * {j12}.twist.y if leg.ik > 0.5 else 0"
 
 
 def test_a_newer_version_is_refused_and_says_what_helps() -> None:
