@@ -110,6 +110,7 @@ def keep_hands(
         s for s in SIDES if all(f"{s}_{p}" in b.roles for p in ("upper_arm", "lower_arm", "hand") for b in (own, other))
     ]
     body = other.leg_m / own.leg_m
+    girth = _shoulders_m(other) / _shoulders_m(own) if sides else body
     palms = {s: (_palm(own, s, turned, places), _palm(other, s, now, where)) for s in sides}
     goals: dict[str, Floats] = {}
     kept: dict[str, Floats] = {}
@@ -125,14 +126,17 @@ def keep_hands(
             pulls.append((share, 0.5 * (its + offset - moved)))
             alone = 1.0 - share
         for part, low, high in _parts(side, own, other):
-            goal, away = _beside(own, turned, places, other, now, where, low, high, palm, body)
+            wide = girth if part == "trunk" else body
+            goal, away = _beside(own, turned, places, other, now, where, low, high, palm, wide)
             # an arm whose hand comes along as well is told by that hand
             pulls.append((_share(away, part, size, ease) * (alone if part == "arm" else 1.0), goal - moved))
         for prop in options.props:
             here, there = _prop(prop, len(places), ratio, own, other)
             share = _share(np.linalg.norm(palm - here, axis=-1), "prop", size, ease)
             pulls.append((share, there + body * (palm - here) - moved))
-        kept[side], goals[side] = _together(pulls)
+        strength, way = _together(pulls)
+        kept[side] = strength * _in_reach(other, side, where, way)
+        goals[side] = kept[side][:, None] * way
     rotations = np.array(np.asarray(pose.broadcast().rotations, np.float64))
     off: list[Floats] = []
     for side in sides:
@@ -151,6 +155,13 @@ def _parts(side: str, own: BodyFrames, other: BodyFrames) -> list[tuple[str, str
     bones += [("leg", f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in _LEGS]
     bones += [("arm", f"{across}_{a}", f"{across}_{b}") for a, b in _ARMS]
     return [bone for bone in bones if all(role in body.roles for role in bone[1:] for body in (own, other))]
+
+
+def _shoulders_m(body: BodyFrames) -> float:
+    """How broad a trunk is: between the upper arms, in the reference pose."""
+    ends = [body.places[body.roles[f"{side}_upper_arm"]] for side in SIDES if f"{side}_upper_arm" in body.roles]
+    across = float(np.linalg.norm(ends[0] - ends[-1]))
+    return across if across > 1e-6 else body.leg_m
 
 
 def _palm(body: BodyFrames, side: str, turned: Floats, places: Floats) -> Floats:
@@ -228,13 +239,21 @@ def _share(away: Floats, part: str, size: float, ease: float) -> Floats:
 
 
 def _together(pulls: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    """How much is kept at all (T,), and where all pulls together move a palm (T, 3); nearer parts count more."""
+    """How much is kept at all (T,), and how far all pulls together would move a palm (T, 3); nearer parts count more."""
     weights = np.stack([w for w, _ in pulls])
     ways = np.stack([way for _, way in pulls])
     strength = 1.0 - np.prod(1.0 - weights, axis=0)
     parts = weights**2
     mean = np.sum(parts[..., None] * ways, axis=0) / np.maximum(parts.sum(axis=0), 1e-12)[:, None]
-    return strength, strength[:, None] * mean
+    return strength, mean
+
+
+def _in_reach(body: BodyFrames, side: str, places: Floats, way: Floats) -> Floats:
+    """1 where an arm is long enough, 0 where it is too short by a quarter (T,): hands do not grasp at what is out of reach."""
+    start, elbow, wrist = (places[:, body.roles[f"{side}_{part}"]] for part in ("upper_arm", "lower_arm", "hand"))
+    arm = np.linalg.norm(elbow - start, axis=-1) + np.linalg.norm(wrist - elbow, axis=-1)
+    u = np.clip((1.25 - np.linalg.norm(wrist + way - start, axis=-1) / np.maximum(arm, 1e-12)) / 0.25, 0.0, 1.0)
+    return u * u * (3.0 - 2.0 * u)
 
 
 def _reach(
