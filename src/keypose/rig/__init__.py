@@ -4,6 +4,7 @@ from keypose.rig.auto import auto_rig
 from keypose.rig.baking import bake_rig, bake_rig_timeline, is_keyed, perform, rigged_skeleton, sample_rig
 from keypose.rig.expressions import Expression, parse_expression
 from keypose.rig.fitting import RigFit, fit_controls, match_fk_to_ik, match_ik_to_fk, switch_space
+from keypose.rig.mirroring import mirror_controls
 from keypose.rig.plan import check_rig
 from keypose.rig.solve import RigResult, evaluate_rig, solve_rig
 
@@ -20,6 +21,7 @@ __all__ = [
     "is_keyed",
     "match_fk_to_ik",
     "match_ik_to_fk",
+    "mirror_controls",
     "parse_expression",
     "perform",
     "rigged_skeleton",
