@@ -306,6 +306,9 @@ export class Studio extends Player {
     this.forget(id);
   }
 
+  /** Told when an upload has ended, however it did. */
+  readonly uploadListeners = new Set<() => void>();
+
   async upload(files: Blobs[]): Promise<void> {
     if (files.length === 0) return;
     const job = `sending ${files[0].name}`;
@@ -321,6 +324,7 @@ export class Studio extends Player {
       this.toast("error", "The file did not arrive", "The studio's server cannot be reached. Is keypose still running?");
     } finally {
       this.jobs.delete(job);
+      for (const listener of this.uploadListeners) listener();
     }
   }
 

@@ -136,6 +136,8 @@ export class Retarget extends Player {
     studio.messageListeners.add((message) => {
       if (message.type === "scene_ready" && studio.page === "retarget") void this.adopt(message.scene.id);
     });
+    // what was opened is announced at about the same time as the upload's end
+    studio.uploadListeners.add(() => setTimeout(() => (this.expecting = null), 1000));
     const files = studio.files.filter((file) => file.actors.length > 0);
     const moving = files.filter((file) => file.animations.length > 0);
     const source = moving.find((file) => !file.hasMesh) ?? (files.length === 1 ? moving[0] : undefined) ?? moving.find((file) => files.some((other) => other !== file && other.hasMesh));
@@ -158,8 +160,8 @@ export class Retarget extends Player {
 
   // ---- subjects ----------------------------------------------------------------------------------------------------
 
-  /** The next file that arrives is for this side. */
-  expect(side: SideName | null): void {
+  /** The files that are sent now are for this side. */
+  expect(side: SideName): void {
     this.expecting = side;
   }
 
@@ -175,13 +177,17 @@ export class Retarget extends Player {
   /** A file that was opened while this page is seen takes the side that it was dropped on, or that suits it. */
   private async adopt(reference: string): Promise<void> {
     const wanted = this.expecting;
-    this.expecting = null;
     try {
       const found = await this.fetched(reference, null);
       if (!found || found.file.actors.length === 0) return;
-      const moves = found.file.animations.length > 0;
-      const side = !moves ? "target" : (wanted ?? (found.file.hasMesh ? "target" : "source"));
-      if (wanted === "source" && !moves) studio.toast("info", `${found.file.name} has no motion`, "It is taken as the character that the motion goes to.");
+      const { hasMesh, animations, name } = found.file, moves = animations.length > 0;
+      // the skeleton file of a motion comes along with it
+      if (!moves && !hasMesh && wanted === "source") {
+        discard(found.file);
+        return;
+      }
+      const side = !moves ? "target" : (wanted ?? (hasMesh ? "target" : "source"));
+      if (wanted === "source" && !moves) studio.toast("info", `${name} has no motion`, "It is taken as the character that the motion goes to.");
       this.turns[side]++; // what was on its way there comes too late
       this.loading = { ...this.loading, [side]: "" };
       this.take(side, reference, found.told, found.file);

@@ -15,6 +15,11 @@ const COLORS: Record<Theme, Record<"left" | "middle" | "right", THREE.Color>> = 
   light: { left: new THREE.Color(0x0f62c4), middle: new THREE.Color(0xa87b00), right: new THREE.Color(0xc8203a) },
 };
 const WIDTH_PX = 1.9;
+/** How much is left of the colour of a control that moves nothing now, because its limb goes by the other side. */
+const IDLE: Record<Theme, { color: THREE.Color; left: number }> = {
+  dark: { color: new THREE.Color(0x23262c), left: 0.22 },
+  light: { color: new THREE.Color(0xd9d7d1), left: 0.25 },
+};
 
 export class ControlLines {
   readonly lines: LineSegments2;
@@ -45,6 +50,22 @@ export class ControlLines {
     this.lines.renderOrder = -1;
   }
 
+  /** Whether a control moves nothing as the numbers of the pose are: FK of a limb that goes by IK, or the other way round. */
+  idle(joint: number): boolean {
+    const name = this.actor.rig.names[joint];
+    const module = this.data.modules.find((m) => m.switch !== "" && (m.fk.includes(name) || m.ik.includes(name)));
+    if (!module) return false;
+    const share = this.actor.rig.pose.morphs[this.actor.rig.attributeIndex(module.switch)];
+    // the spine's goal bends what FK gives: there, FK is never idle
+    return module.ik.includes(name) ? share < 1e-6 : module.kind === "limb" && share > 1 - 1e-6;
+  }
+
+  /** The shares of all switches, as a text that is another when one of them is. */
+  get switches(): string {
+    const { rig } = this.actor;
+    return this.data.modules.map((m) => (m.switch ? rig.pose.morphs[rig.attributeIndex(m.switch)] : "")).join();
+  }
+
   /** Bring the lines to where the controls are. */
   write(): void {
     const { rig } = this.actor, { world } = rig, { places } = this;
@@ -71,7 +92,10 @@ export class ControlLines {
       else if (joint === marks.hovered) color.copy(palette.hover);
       else if (marks.selected.has(joint)) color.copy(palette.selected);
       else if (marks.held.has(joint)) color.copy(palette.held);
-      else color.copy(COLORS[theme][side]);
+      else {
+        color.copy(COLORS[theme][side]);
+        if (this.idle(joint)) color.lerp(IDLE[theme].color, 1 - IDLE[theme].left);
+      }
       const end = 6 * (this.first[control] + this.local[control].length / 6);
       for (let o = 6 * this.first[control]; o < end; o += 3) color.toArray(this.colors, o);
     });

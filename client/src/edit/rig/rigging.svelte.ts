@@ -8,6 +8,7 @@ import { studio } from "../../studio.svelte";
 import type { Actor } from "../../view/actor";
 import { channelOf, type EditDocument } from "../contract";
 import { editor } from "../editor.svelte";
+import { tools } from "../viewport/tools.svelte";
 import { NO_WISH, Question, readSolved, transforms, writeSolved, type Solved, type Wish } from "./solver";
 
 const TRACK_DELAY_MS = 120;
@@ -194,6 +195,7 @@ class Rigging {
   }
 
   add(character: string): Promise<void> {
+    tools.bones = false; // outlines are enough to look at
     return this.change("Add rig", { type: "rig_add", character, fit: true });
   }
 

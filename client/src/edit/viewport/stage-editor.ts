@@ -112,6 +112,8 @@ export class StageEditor {
     view.paintJoints();
   }
 
+  private switches = "";
+
   private syncControls(marks: Marks): void {
     const { actor } = this.editor, data = rigging.active;
     if (this.controls && (this.controls.actor !== actor || this.controls.data !== data)) {
@@ -132,7 +134,12 @@ export class StageEditor {
     view.tools.visible = shown;
     if (this.controls) {
       this.controls.lines.visible = tools.controls && !view.filming && (actor?.visible ?? false);
-      if (this.controls.lines.visible) this.controls.write();
+      if (this.controls.lines.visible) {
+        const { switches } = this.controls;
+        if (switches !== this.switches && view.marks) this.controls.paint(view.theme, view.marks);
+        this.switches = switches;
+        this.controls.write();
+      }
     }
     gizmo.present = shown && actor !== null && joints.length > 0 && !studio.playing && !view.filming;
     if (gizmo.present && actor) {
@@ -354,6 +361,10 @@ export class StageEditor {
       editor.toast("info", `${name} hangs on its parent`, "It can turn. To pull joints off their bones, turn on “Move any joint”.");
       return;
     }
+    const held = joints.find((j) => this.controls?.idle(j));
+    const own = joints.find((j) => this.controls?.lines.visible && j < actor.rig.jointCount && this.controls.data.modules.some((m) => m.joints.includes(actor.rig.names[j])));
+    if (held !== undefined) editor.toast("info", `${actor.rig.names[held]} moves nothing now`, "Its limb goes by the other side: Shift+K goes over between FK and IK.");
+    else if (own !== undefined) editor.toast("info", `${actor.rig.names[own]} is moved by the rig`, "Pick one of its controls: the outlines around the body.");
     // the pose that is shown, with what was set by hand
     actor.evaluate(studio.time);
     this.heldBefore = editor.posed;
