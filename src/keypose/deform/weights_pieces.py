@@ -19,6 +19,7 @@ _AT_ONE_PLACE = 0.4  # of the piece's size: what touches the body in no more tha
 _OF_A_JOINT = 0.1  # of the size; a piece so small around a leaf joint is that joint's own, as eyes are
 _CENTRED = 0.2  # of the piece's size, how near to its middle that joint is
 _AROUND = 0.5  # winding number
+_AT_ONCE = 16
 _PLACES = (0.25, 0.5, 0.75)  # along a bone
 
 
@@ -60,8 +61,7 @@ def sort_pieces(surface: Surface, skeleton: Skeleton, places: Floats, joints: Se
         if not shell and len(triangles):
             found.heated.append(shell)
             continue
-        inside = samples[np.all((samples > low) & (samples < high), axis=1)]
-        if len(triangles) and len(inside) and np.abs(windings(surface.points, triangles, inside)).max() > _AROUND:
+        if len(triangles) and _around_any(surface.points, triangles, samples, low, high):
             found.heated.append(shell)
         else:
             waiting.append(shell)
@@ -82,6 +82,16 @@ def sort_pieces(surface: Surface, skeleton: Skeleton, places: Floats, joints: Se
         else:
             found.heated.append(shell)
     return found
+
+
+def _around_any(points: Floats, triangles: Ints, samples: Floats, low: Floats, high: Floats) -> bool:
+    """Whether a shell with this box goes around any of the places; those in its middle are tried first."""
+    samples = samples[np.all((samples > low) & (samples < high), axis=1)]
+    samples = samples[np.argsort(np.linalg.norm(samples - (low + high) / 2, axis=1))]
+    return any(
+        np.abs(windings(points, triangles, samples[begin : begin + _AT_ONCE])).max() > _AROUND
+        for begin in range(0, len(samples), _AT_ONCE)
+    )
 
 
 def _joint_in_middle(places: Floats, leaves: list[int], middle: Floats, size: float) -> int | None:
