@@ -266,19 +266,23 @@ def test_what_is_no_humanoid_is_told(page: StudioPage) -> None:
     assert page.test_id("send-to-edit").is_disabled()
 
 
-def test_a_dropped_file_takes_the_side_that_it_was_dropped_on(page: StudioPage, tmp_path: Path) -> None:
-    path = tmp_path / "jumping.bvh"
-    jump = samples.load("jump")
-    io.save(jump, path)
+def drop(page: StudioPage, side: str, *files: Path) -> None:
+    """Drop files on one of the two stages."""
     page.page.evaluate(
-        """(text) => {
+        """([side, files]) => {
           const transfer = new DataTransfer();
-          transfer.items.add(new File([text], "jumping.bvh"));
-          document.querySelector("[data-testid=retarget-source]").parentElement.dispatchEvent(
+          for (const [name, text] of files) transfer.items.add(new File([text], name));
+          document.querySelector(`[data-testid=retarget-${side}]`).parentElement.dispatchEvent(
             new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
         }""",
-        path.read_text(),
+        [side, [[file.name, file.read_text()] for file in files]],
     )
+
+
+def test_a_dropped_file_takes_the_side_that_it_was_dropped_on(page: StudioPage, tmp_path: Path) -> None:
+    path = tmp_path / "jumping.bvh"
+    io.save(samples.load("jump"), path)
+    drop(page, "source", path)
     page.until(lambda: now(page)["subjects"]["source"]["name"] == "jumping.bvh", "it is the source")
     settled(page)
     assert now(page)["performs"]["source"] == now(page)["done"]["name"]
@@ -342,5 +346,13 @@ def test_a_real_pair(chromium: Any, start: Start, data_dir: Path) -> None:
             way = at[hand] - at[lower]
             ways.append(way / np.linalg.norm(way))
         assert np.degrees(np.arccos(np.clip(ways[0] @ ways[1], -1, 1))) < 1.0
+    # another take with its skeleton file, dropped together: the take is the source, and the target stays
+    takes = data_dir / "asf_amc" / "cmu_02"
+    drop(page, "source", takes / "02_03.amc", takes / "02.asf")
+    page.until(lambda: now(page)["subjects"]["source"]["name"] == "02_03.amc", "the take is the source", 60)
+    settled(page)
+    page.page.wait_for_timeout(500)
+    told = now(page)
+    assert told["subjects"]["target"]["name"] == "arnaud.fbx" and told["done"]["name"] == "02_03"
     assert page.complaints == []
     context.close()
