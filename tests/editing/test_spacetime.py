@@ -89,10 +89,10 @@ def test_curvature_against_finite_differences_of_the_slope(rng):
 
 def test_the_same_optimum_as_scipy():
     """A small problem, all soft: SciPy's trust region on the whole stack of residuals finds the same change."""
-    motion, skeleton = arm(joints=3, frames=21)
-    wanted = [Place("a2", np.array([8]), (0.4, 0.1, 0.1), weight=5.0), Turn("a1", [14], (1, 0, 0, 0), weight=2.0)]
-    options = SpacetimeOptions(tolerance=1e-14, knot_frames=3)
-    ours = SpacetimeProblem(motion, skeleton, (0, 20), wanted, {}, (), {}, options)
+    motion, skeleton = arm(joints=3, frames=16)
+    wanted = [Place("a2", np.array([6]), (0.4, 0.1, 0.1), weight=5.0), Turn("a1", [11], (1, 0, 0, 0), weight=2.0)]
+    options = SpacetimeOptions(tolerance=1e-14, knot_frames=4)
+    ours = SpacetimeProblem(motion, skeleton, (0, 15), wanted, {}, (), {}, options)
     theirs = least_squares(
         lambda x: np.concatenate([ours.residuals(x), ours.regular @ x]),
         np.zeros(ours.size),
@@ -129,7 +129,7 @@ def test_hard_constraints_hold_and_the_rest_changes_least(cast):
     assert seen and all(a[0] < b[0] for a, b in itertools.pairwise(seen))
     assert np.all(np.diff(done.costs) <= 0)
     # the whole body helps: it squats
-    assert after[60, roles["hips"], 1, 3] < before[60, roles["hips"], 1, 3] - 0.02
+    assert after[60, roles["hips"], 1, 3] < before[60, roles["hips"], 1, 3] - 0.01
     # the other hand has no reason to turn
     hand = roles["right_lower_arm"]
     assert np.array_equal(done.motion.pose.rotations[:, hand], idle.pose.rotations[:, hand])

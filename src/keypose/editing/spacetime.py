@@ -48,17 +48,18 @@ class SpacetimeOptions:
         limit_weight: how much a radian beyond a joint's limit counts, soft.
         hard_weight: the same of a metre or radian missed by a hard constraint; so large that nothing visible is missed.
         iterations: steps at most.
-        tolerance: a step that gains less than this share of what the change itself costs ends the work.
+        tolerance: a step that gains less than this share of what the change itself costs ends the work; a hundredth of it
+            where hard constraints are not met.
         open_ends: whether the change need not fade where the window ends with the motion.
     """
 
     knot_frames: int = 2
     smoothness_s: float = 0.15
-    root_weight: float = 3.0
+    root_weight: float = 8.0
     limit_weight: float = 100.0
     hard_weight: float = 1e4
     iterations: int = 100
-    tolerance: float = 1e-5
+    tolerance: float = 1e-3
     open_ends: bool = True
 
     def __post_init__(self) -> None:
@@ -240,7 +241,7 @@ class SpacetimeProblem:
         wanted = self.options
         for softer in () if converged else (100.0, 10.0, 1.0):
             self.options = replace(wanted, hard_weight=wanted.hard_weight / softer)
-            enough = wanted.tolerance if softer == 1.0 else 1e-3
+            enough = wanted.tolerance if softer == 1.0 else max(3e-3, wanted.tolerance)
             costs = [self.cost(unknowns)]
             damping, converged = 1e-6, False
             most = wanted.iterations if softer == 1.0 else steps + wanted.iterations // 4
@@ -248,13 +249,22 @@ class SpacetimeProblem:
                 unknowns, cost, damping = self._step(unknowns, costs[-1], damping)
                 # Beside what the motion loses; what is missed out of reach would hide it. Rounding ends the work, too.
                 change = 0.5 * float(unknowns @ (self.quadratic @ unknowns))
-                converged = costs[-1] - cost <= max(enough * change, 1e-13 * cost)
+                share = enough if self._is_met(unknowns, REACHED_M * softer**2) else 0.01 * enough
+                converged = costs[-1] - cost <= max(share * change, 1e-13 * cost)
                 costs.append(cost)
                 steps += 1
                 if progress is not None:
                     progress(steps, wanted.iterations)
         self.options = wanted
         return self._result(unknowns, costs, converged)
+
+    def _is_met(self, unknowns: Floats, near: float) -> bool:
+        """Whether hard constraints are met to ``near`` metres or radians."""
+        return all(
+            float(np.linalg.norm(values, axis=-1).max(initial=0.0)) <= near
+            for rows, values in self._missed(unknowns)
+            if rows.constraint.weight is None
+        )
 
     def _step(self, unknowns: Floats, cost: float, damping: float) -> tuple[Floats, float, float]:
         """The next control points, their cost and damping; the same where no step makes it less."""
