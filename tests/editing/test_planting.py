@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from keypose import evaluate, samples
-from keypose.analysis import find_roles
+from keypose.analysis import find_roles, measure_quality
 from keypose.analysis.contacts import contact_spans, find_footing
 from keypose.analysis.ground import Ground, true_runs
 from keypose.analysis.quality import carried_speeds
@@ -236,6 +236,32 @@ def test_a_known_ground_is_stood_on() -> None:
     assert np.ptp(ball[down]) < 1e-6 and abs(ball[down][0] - 0.02 - done.footing.stand_m["left"]) < 1e-6
     up = put_on_floor(done.motion, skeleton, done.footing, 0.5)
     assert world(skeleton, up)[1][:, roles["left_toes"], 1][down][0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ["walk", "run", "idle"])
+def test_loops_stay_loops(name: str) -> None:
+    skeleton, motion = body(), performances.make(name)
+    pose = motion.pose.broadcast()
+    # hips that are too high by a centimetre in the middle of a step, all round: feet float and sink
+    moved = np.array(pose.translations, np.float64)
+    round_s = 2.0 * np.pi * np.arange(motion.frame_count) / (motion.frame_count - 1)
+    moved[:, 0, 1] += 0.012 * np.sin(3.0 * round_s)
+    moved[:, 0, 0] += 0.02 * np.sin(2.0 * round_s)
+    motion = replace(
+        motion, pose=Pose(moved, np.asarray(pose.rotations, np.float64), np.asarray(pose.scales, np.float64))
+    )
+    roles = roles_of(skeleton)
+    asked = PlantOptions(loop=True)
+    done = plant_feet(motion, skeleton, roles, options=asked)
+    before, after = measure_quality(motion, skeleton, roles), measure_quality(done.motion, skeleton, roles)
+    assert done.moved_m.max() > 5e-3 and before.loop_cm < 1e-3
+    assert after.loop_cm < 1e-3 and after.loop_deg < 1e-3
+    assert slides(skeleton, done.motion, roles, done.touching).max() < 0.02
+    again = plant_feet(done.motion, skeleton, roles, options=asked)
+    assert done.settled and again.settled
+    assert np.abs(world(skeleton, again.motion)[1] - world(skeleton, done.motion)[1]).max() < 1e-6
+    with pytest.raises(ShapeError, match="last frame is not its first"):
+        plant_feet(slipping("walk"), skeleton, roles, options=asked)
 
 
 def test_contacts_as_a_table_cover_the_flags() -> None:

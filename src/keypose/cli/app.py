@@ -381,6 +381,7 @@ def clean(
         bool,
         typer.Option("--keep-pitch", help="Leave feet as they are pitched; else flat ones are laid on the ground."),
     ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="The last frame is the first: keep it so.")] = False,
     floor: Annotated[
         float | None,
         typer.Option("--floor", metavar="HEIGHT", help="Lift or lower it all onto a floor there, in metres."),
@@ -410,6 +411,7 @@ def clean(
         clip=clip,
         ground=ground,
         hips=hips.value,
+        loop=loop,
         level_feet=not pitch,
         floor_m=floor,
         contacts=contacts,

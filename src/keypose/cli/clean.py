@@ -35,6 +35,7 @@ def clean_file(
     ground: str = "auto",
     hips: str = "free",
     level_feet: bool = True,
+    loop: bool = False,
     floor_m: float | None = None,
     contacts: Path | None = None,
     events: bool = False,
@@ -74,7 +75,9 @@ def clean_file(
     character = scene.character
     body = character.skeleton
     known = _roles(roles, character)
-    asked = PlantOptions(ground=_ground(ground, character, known), level_feet=level_feet, hips=cast("HipsMode", hips))
+    asked = PlantOptions(
+        ground=_ground(ground, character, known), level_feet=level_feet, hips=cast("HipsMode", hips), loop=loop
+    )
     done = plant_feet(motion, body, known, options=asked)
     made = done.motion
     if floor_m is not None:

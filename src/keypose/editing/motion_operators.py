@@ -82,7 +82,7 @@ def _run_plant_feet(clip: Clip, skeleton: Skeleton, selection: Selection, p: Map
     if not roles:
         return Operated(clip, "no legs were found: nothing to plant")
     options = _planting.PlantOptions(
-        p["height_m"], p["speed_m_s"], p["ground"], level_feet=p["level_feet"], hips=p["hips"]
+        p["height_m"], p["speed_m_s"], p["ground"], level_feet=p["level_feet"], hips=p["hips"], loop=p["loop"]
     )
     said: list[str] = []
 
@@ -222,6 +222,7 @@ MOTION_OPERATORS: tuple[Operator, ...] = (
                 "Hips",
                 choices=("free", "upright", "still"),
             ),
+            Parameter("loop", "boolean", False, "The last frame is the first, and stays so.", "Loop"),
         ),
         "channels",
         _run_plant_feet,

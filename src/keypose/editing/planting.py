@@ -17,6 +17,7 @@ from keypose.analysis.contacts import Footing, find_footing
 from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
+from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
 from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
@@ -41,6 +42,7 @@ class PlantOptions:
         height_m, speed_m_s: limits of a contact for a leg of 0.85 m; they grow with the leg.
         ground: ``auto``, ``flat``, ``slope``, ``steps``, or a known `Ground`.
         blend_s: how long the speed of a correction takes to fade beside a contact.
+        loop: the motion's last frame is its first, a round on over the ground, and stays so.
         level_feet: whether a foot that is flat is laid on the ground; it is kept from turning anyway.
         hips: ``free`` (they may come along with the feet), ``upright`` (up and down only) or ``still``.
     """
@@ -51,6 +53,7 @@ class PlantOptions:
     blend_s: float = 0.2
     level_feet: bool = True
     hips: HipsMode = "free"
+    loop: bool = False
 
     def __post_init__(self) -> None:
         if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0):
@@ -99,7 +102,7 @@ def plant_feet(
 
     Raises:
         KeyposeError: where a leg has no hip, knee or foot.
-        ShapeError: where flags have other lengths than the motion.
+        ShapeError: where flags have other lengths than the motion, or what is to be a loop is none.
 
     Source: L. Kovar, J. Schreiner and M. Gleicher, "Footskate cleanup for motion capture editing" (SCA 2002).
     """
@@ -107,20 +110,34 @@ def plant_feet(
         for part in ("upper_leg", "lower_leg", "foot"):
             if f"{side}_{part}" not in roles:
                 raise KeyposeError(f"feet cannot be planted: nothing plays {side}_{part}")
-    before = _Body(motion, skeleton, roles)
-    footing = before.look(options, heights)
     if touching is not None:
         for point, flags in touching.items():
             if np.shape(flags) != (motion.frame_count,):
                 raise ShapeError(f"touching['{point}']: expected {motion.frame_count} flags, got {np.shape(flags)}")
-        footing = replace(footing, touching={p: np.asarray(touching.get(p, False)) & True for p in footing.points})
-        footing = replace(
-            footing, touching={p: np.broadcast_to(f, motion.frame_count) for p, f in footing.touching.items()}
-        )
-        return before.planted(footing, options, heights)
+    before = _Body(motion, skeleton, roles)
+    cycle = find_cycle(motion, skeleton, before.turned, before.places) if options.loop else None
+    if options.loop and (cycle is None or touching is not None):
+        why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
+        raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: {why}")
+    if cycle is None:
+        result = _planted_once(before, touching, heights, options)
+    else:
+        result = _planted_round(before, cycle, heights, options)
+    return replace(result, knee_ratio=before.ratio(result.motion))
+
+
+def _planted_once(
+    before: _Body, touching: Touching | None, heights: Floats | None, options: PlantOptions
+) -> PlantResult:
+    """A motion planted, and what that shows as new contacts planted too, until nothing is new."""
+    footing = before.look(options, heights)
+    if touching is not None:
+        none = np.zeros(before.motion.frame_count, bool)
+        flags = {point: np.asarray(touching.get(point, none), bool) for point in footing.points}
+        return before.planted(replace(footing, touching=flags), options, heights)
     result = before.planted(footing, options, heights)
     for _ in range(_ROUNDS):
-        after = _Body(result.motion, skeleton, roles)
+        after = _Body(result.motion, before.skeleton, before.roles)
         again = after.look(options, heights)
         if not any(path.moves for path in after.paths(again, options, heights)):
             return replace(result, footing=again, settled=True)
@@ -128,12 +145,33 @@ def plant_feet(
         if all(np.array_equal(more[p], footing.touching[p]) for p in more):
             # nothing new touches the ground, but what was found of it changed: from here on one after the other
             planted = after.planted(again, options, heights)
-            moved = np.maximum(result.moved_m, planted.moved_m)
-            result = replace(planted, touching=more, moved_m=moved, knee_ratio=before.ratio(planted.motion))
+            result = replace(planted, touching=more, moved_m=np.maximum(result.moved_m, planted.moved_m))
             continue
         footing = replace(footing, touching=more)
         result = before.planted(footing, options, heights)
     return result
+
+
+def _planted_round(body: _Body, cycle: Cycle, heights: Floats | None, options: PlantOptions) -> PlantResult:
+    """A motion that goes round, planted in the middle of three rounds: it goes round still."""
+    motion, skeleton, roles = body.motion, body.skeleton, body.roles
+    middle = slice(motion.frame_count - 1, 2 * motion.frame_count - 1)
+    moved, away, short, made = np.zeros(motion.frame_count), np.zeros(motion.frame_count), 0.0, motion
+    rounds = _ROUNDS
+    while True:
+        long = _planted_once(_Body(unroll(made, skeleton, cycle), skeleton, roles), None, heights, options)
+        footing = replace(
+            long.footing,
+            points={p: track[middle] for p, track in long.footing.points.items()},
+            touching={p: flags[middle] for p, flags in long.footing.touching.items()},
+        )
+        touching = {p: flags[middle] for p, flags in long.touching.items()}
+        settled = not long.moved_m.any() and not long.hips_m.any()
+        if settled or (rounds := rounds - 1) < 0:
+            return PlantResult(made, touching, footing, moved, away, short, 1.0, settled)
+        moved, away = np.maximum(moved, long.moved_m[middle]), np.maximum(away, long.hips_m[middle])
+        short = max(short, long.short_m)
+        made = cut(long.motion, motion, skeleton, cycle)
 
 
 def put_on_floor(motion: Motion, skeleton: Skeleton, footing: Footing, height_m: float = 0.0) -> Motion:
@@ -243,7 +281,7 @@ class _Body:
         result = replace(self.motion, pose=made)
         moved = np.max([np.linalg.norm(path.shift, axis=-1) for path in paths], axis=0)
         away = np.linalg.norm(hips, axis=-1)
-        return PlantResult(result, footing.touching, footing, moved, away, short, self.ratio(result), False)
+        return PlantResult(result, footing.touching, footing, moved, away, short, 1.0, False)
 
     def _hips(self, paths: list[FootPath], upright: bool) -> Floats:
         """The hips' path; with more care for knees around frames in which one would jump."""
