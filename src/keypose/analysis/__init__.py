@@ -1,7 +1,15 @@
 """Measurements: which joint is which, where feet touch the ground, what a conversion changed, what is wrong with a file."""
 
-from keypose.analysis.contacts import contact_changes, find_contacts, foot_contacts
+from keypose.analysis.contacts import (
+    Footing,
+    contact_changes,
+    contact_spans,
+    find_contacts,
+    find_footing,
+    foot_contacts,
+)
 from keypose.analysis.doctor import Examination, Finding, examine
+from keypose.analysis.ground import Ground
 from keypose.analysis.limits import human_limits
 from keypose.analysis.proof import SceneError, scene_error
 from keypose.analysis.quality import Quality, TakeDifference, compare_takes, measure_quality
@@ -11,6 +19,8 @@ from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 __all__ = [
     "Examination",
     "Finding",
+    "Footing",
+    "Ground",
     "Quality",
     "RoleMap",
     "RoundtripError",
@@ -18,8 +28,10 @@ __all__ = [
     "TakeDifference",
     "compare_takes",
     "contact_changes",
+    "contact_spans",
     "examine",
     "find_contacts",
+    "find_footing",
     "find_roles",
     "foot_contacts",
     "human_limits",
