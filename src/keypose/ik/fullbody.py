@@ -235,7 +235,7 @@ def _result(problem: Problem, pose: Pose, batch: tuple[int, ...], state: State, 
     rotations = state.rotations.reshape(*batch, joints, 4)
     solved = Pose(translations.astype(dtype), rotations.astype(dtype), pose.scales)
     turned, places = (
-        np.asarray(a, np.float64).reshape(len(state.cost), joints, -1)
+        np.asarray(a, np.float64).reshape(len(state.cost), *a.shape[-2:])
         for a in world_rotations_positions(
             problem.skeleton, Pose(translations, rotations, np.asarray(pose.scales, np.float64))
         )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from keypose.arrays import Floats, Ints
+from keypose.arrays import Array, Floats, Ints
 from keypose.ik.fullbody_limits import FREE, HELD, bounds_met
 from keypose.ik.fullbody_problem import Problem, Term
 from keypose.ik.limits import clamp_rotation
@@ -19,10 +19,8 @@ from keypose.ik.tasks import (
     ContactTask,
     LookAtTask,
     OrientationTask,
-    PosePrior,
     PositionTask,
     RelativeTask,
-    Smoothness,
 )
 from keypose.math import quat
 
@@ -45,9 +43,9 @@ class State:
     growth: Floats
     cost: Floats
     miss: Floats
-    done: Floats
+    done: Array
     curved: Floats
-    steps: Floats
+    steps: Ints
 
     def take(self, rows: Ints) -> State:
         """Some of the solves, as copies."""
@@ -246,11 +244,13 @@ def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: floa
     hessian += state.curved[left, None, None] * curvature(part, turned, places)
     freedom = _freedom(part, rotations, turned, gradient)
     forced, damping = np.zeros_like(gradient), np.maximum(state.damping[left] * old, part.least_damping)
-    for _ in range(PASSES):
-        change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
-        new, moved = apply(part, rotations, shift, turned, change)
+    change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
+    new, moved = apply(part, rotations, shift, turned, change)
+    for _ in range(1, PASSES):
         if not _stop_at_bounds(part, rotations, turned, change, new, freedom, forced):
             break
+        change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
+        new, moved = apply(part, rotations, shift, turned, change)
     new_rows = evaluate(part, new, moved)[2]
     cost = cost_of(new_rows, len(shift))
     better = sound & (cost < old)
@@ -263,7 +263,7 @@ def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: floa
     state.growth[left] = np.where(better, GROWTH, 2.0 * state.growth[left])
     state.curved[left] = np.where(better, cost > SLOW * old, sound & (state.curved[left] > 0))
     state.steps[left] += 1
-    small = sound & ((np.max(np.abs(change), axis=1, initial=0.0) < settled) | (promised < ROUNDING * old))
+    small = sound & ((np.max(np.abs(change), axis=1, initial=0.0) < settled) | (np.abs(promised) < ROUNDING * old))
     state.done[left] = (state.miss[left] <= 1.0) | small | (state.damping[left] >= MOST_FACTOR)
 
 
@@ -313,7 +313,7 @@ def _pull(term: Term, turned: Floats, places: Floats) -> tuple[Floats, Floats] |
 
 def _damped_step(
     hessian: Floats, gradient: Floats, freedom: Floats, damping: Floats, forced: Floats
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Array]:
     """The damped step (N, C) that what is forced is part of, what it promises to gain, and whether it is one at all."""
     pull = (gradient + np.einsum("nab,nb->na", hessian, forced))[:, None]
     system = hessian.copy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -33,6 +33,9 @@ POLICIES = ("free", "fixed", "translation", "ground")
 RootPolicy = Literal["free", "fixed", "translation", "ground"]
 
 
+_NOTHING: Floats = np.zeros(0)
+
+
 @dataclass(frozen=True, slots=True)
 class RootMotion:
     """What the root may do: ``policy`` and which joint it is (the root above the first task's joint if not said).
@@ -49,6 +52,10 @@ class RootMotion:
             raise UnknownName("root policy", self.policy, POLICIES)
 
 
+def _nothing() -> Floats:
+    return _NOTHING
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Term:
     """A task over N poses. ``target`` etc. (N, ...); offsets are in the joint's axes, scaled; ``weight`` (N,)."""
@@ -57,14 +64,14 @@ class Term:
     kind: type[Task]
     joint: int = -1
     other: int = -1
-    weight: Floats = None  # pyright: ignore[reportAssignmentType]
-    target: Floats = None  # pyright: ignore[reportAssignmentType]
+    weight: Floats = field(default_factory=_nothing)
+    target: Floats = field(default_factory=_nothing)
     turn: Floats | None = None
-    turn_weight: Floats = None  # pyright: ignore[reportAssignmentType]
-    offset: Floats = None  # pyright: ignore[reportAssignmentType]
-    axis: Floats = None  # pyright: ignore[reportAssignmentType]
-    masses: Floats = None  # pyright: ignore[reportAssignmentType]
-    by_joint: Floats = None  # pyright: ignore[reportAssignmentType]
+    turn_weight: Floats = field(default_factory=_nothing)
+    offset: Floats = field(default_factory=_nothing)
+    axis: Floats = field(default_factory=_nothing)
+    masses: Floats = field(default_factory=_nothing)
+    by_joint: Floats = field(default_factory=_nothing)
     root_weight: float = 0.0
     positioned: bool = True
 
@@ -107,15 +114,15 @@ class Problem:
     def take(self, rows: Ints) -> Problem:
         """The problem of some of the poses."""
 
-        def some(array: Floats | None) -> Floats | None:
-            return None if array is None else array[rows]
+        def some(array: Floats) -> Floats:
+            return array if array is _NOTHING else array[rows]
 
         terms = tuple(
             replace(
                 t,
                 weight=some(t.weight),
                 target=some(t.target),
-                turn=some(t.turn),
+                turn=None if t.turn is None else t.turn[rows],
                 turn_weight=some(t.turn_weight),
                 offset=some(t.offset),
             )
@@ -170,7 +177,7 @@ def make_problem(
     above = _above(skeleton)
     used = _joints_used(skeleton, tasks)
     translations, start, scales = (
-        np.broadcast_to(np.asarray(a, np.float64), (*batch, *a.shape[-2:])).reshape(count, joints, -1)
+        np.broadcast_to(np.asarray(a, np.float64), (*batch, *a.shape[-2:])).reshape(count, *a.shape[-2:])
         for a in (pose.translations, pose.rotations, pose.scales)
     )
     for name, array in (("translations", translations), ("rotations", start), ("scales", scales)):
@@ -204,7 +211,7 @@ def make_problem(
     if mover >= 0:
         terms = tuple(_with_root_path(term, skeleton, mover, batch, translations, start, over) for term in terms)
     # Rounding grows with the square of the weights over the damping.
-    most = max((float(np.max(t.weight)) for t in terms if t.weight is not None and t.weight.size), default=1.0)
+    most = max((float(np.max(t.weight)) for t in terms if t.weight.size), default=1.0)
     least = LEAST_DAMPING * max(most, 1e-6) ** 2
     return Problem(skeleton, offsets, start, free, upright, mover, ways, above, terms, limited, least)
 

@@ -91,7 +91,7 @@ class RelativeTask:
     def __post_init__(self) -> None:
         if self.position is None and self.rotation is None:
             raise ShapeError("relative task: expected a position, a rotation or both")
-        shapes = {"weight": (...,), "rotation_weight": (...,), "offset": (3,)}
+        shapes: dict[str, tuple[object, ...]] = {"weight": (...,), "rotation_weight": (...,), "offset": (3,)}
         if self.position is not None:
             shapes["position"] = (..., 3)
         if self.rotation is not None:
@@ -115,7 +115,7 @@ class CenterOfMassTask:
     weight: Array | float = 1.0
 
     def __post_init__(self) -> None:
-        shapes = {"target": (..., 3), "masses": ("J",), "weight": (...,), "axes": (3,)}
+        shapes: dict[str, tuple[object, ...]] = {"target": (..., 3), "masses": ("J",), "weight": (...,), "axes": (3,)}
         if self.centers is not None:
             shapes["centers"] = (len(np.asarray(self.masses)), 3)
         _freeze(self, **shapes)

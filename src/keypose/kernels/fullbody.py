@@ -2,12 +2,10 @@
 """Full-body inverse kinematics: damped Newton steps in time linear in joints and tasks, one solve per lane.
 
 A row of the table holds everything of one solve: rotations, offsets, displacement of the root, state, and the tasks' data.
-Lanes take a step, keep it where the cost fell, and set their damping each for itself.
+Lanes take a step, keep it where the cost fell, and set their damping each for itself. A step allocates nothing.
 """
 
 from __future__ import annotations
-
-import numpy as np
 
 from keypose.kernels.fullbodylimits import find_normals, force_to_bound, hold_inside
 from keypose.kernels.fullbodystep import eliminate, follow, gather_forces
@@ -44,103 +42,94 @@ from keypose.kernels.fullbodytables import (
     SUMS,
 )
 from keypose.kernels.fullbodytasks import forward, gather_tasks
-from keypose.kernels.rotations import store3
+from keypose.kernels.rotations import load3, load4, store3, store4
 from keypose.kernels.runtime import kernel, scratch_like
 from keypose.kernels.vectors import fill, lanes, load, pointer, store
+
+_EXTRA = 36
 
 
 @kernel
 def solve_rows(
     rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options
 ):  # fmt: skip
-    """Solve some rows of a table in place, lanes at a time, for up to so many steps each.
-
-    A row: rotations 4 of each joint, offsets 3 of each, displacement 3, state, data.
-    """
-    n = lanes(rows)
-    cells = (columns + count * SLOTS + 40) * n
-    memory = scratch_like(rows, cells)
-    row, flat = pointer(memory), pointer(rows)
-    total = picked.shape[0]
-    q, off, shift = 0, 4 * count * n, 7 * count * n
-    state = (7 * count + 3) * n
-    data = state + STATES * n
-    work = columns * n
-    extra = work + count * SLOTS * n
-    near, best_shift, move = extra, extra + 9 * n, extra + 12 * n
-    active, promised, size, sound = extra + 15 * n, extra + 16 * n, extra + 17 * n, extra + 18 * n
-    cost, miss, damping = extra + 19 * n, extra + 20 * n, extra + 21 * n
-    first = np.int64(0)
-    jt, tt = pointer(joints), pointer(terms)
-    lt = pointer(limits)
+    """Solve some rows of a flat table in place, as many at a time as a vector has lanes, for up to so many steps each."""
+    n, total, first = lanes(rows), picked.shape[0], 0
+    memory = scratch_like(rows, (columns + count * SLOTS + _EXTRA) * n)
+    row = pointer(memory)
+    state = 7 * count + 3
     while first < total:
         for k in range(n):
             at = picked[min(first + k, total - 1)] * columns
             for c in range(columns):
-                row[c * n + k] = flat[at + c]
+                memory[c * n + k] = rows[at + c]
         _solve_block(
-            jt, count, mover, ways, tt, term_count, lt, limit_count, numbers, options, memory, row, n, steps, q, off,
-            shift, state, data, work, near, best_shift, move, active, promised, size, sound, cost, miss, damping,
+            pointer(joints), count, mover, ways, pointer(terms), term_count, pointer(limits), limit_count, numbers,
+            options, memory, row, n, steps, columns,
         )  # fmt: skip
         for k in range(min(n, total - first)):
             at = picked[first + k] * columns
             for c in range(4 * count):
-                flat[at + c] = row[c * n + k]
-            for c in range(7 * count, 7 * count + 3 + STATES):
-                flat[at + c] = row[c * n + k]
+                rows[at + c] = memory[c * n + k]
+            for c in range(7 * count, state + STATES):
+                rows[at + c] = memory[c * n + k]
         first += n
 
 
 @kernel
 def _solve_block(
-    joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options, memory, row, n, steps, q, off,
-    shift, state, data, work, near, best_shift, move, active, promised, size, sound, cost, miss, damping,
+    joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options, memory, row, n, steps, columns
 ):  # fmt: skip
+    q, off, shift, state = 0, 4 * count * n, 7 * count * n, (7 * count + 3) * n
+    data, work = state + STATES * n, columns * n
+    extra = work + count * SLOTS * n
+    near, best_shift, move, active = extra, extra + 9 * n, extra + 12 * n, extra + 15 * n
+    promised, size, sound, cost = extra + 16 * n, extra + 17 * n, extra + 18 * n, extra + 19 * n
+    miss, damping, curving = extra + 20 * n, extra + 21 * n, state + CURVED * n
+    live, found = memory[active : active + n], memory[extra + 22 * n : extra + 22 * n + 9]
     per_m, per_rad = 1.0 / options[O_TOLERANCE_M], 1.0 / options[O_TOLERANCE_RAD]
-    live = memory[active : active + n]
-    live[:] = 1.0
+    plain = limit_count > 0  # whether plain sums are kept: for bounds and for curvature
+    for k in range(n):
+        live[k] = 1.0
+        plain = plain or row[curving + k] != 0.0
     for limit in range(limit_count):
         hold_inside(limits, numbers, limit, row, q, data, work, near, n, live)
     forward(joints, count, mover, row, q, off, shift, work, n)
-    armed = False
-    for k in range(n):
-        armed = armed or row[state + CURVED * n + k] != 0.0
     gather_tasks(
-        joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, armed, per_m, per_rad
+        joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
     )
     for k in range(n):
         row[state + COST * n + k], row[state + MISS * n + k] = row[cost + k], row[miss + k]
         if row[miss + k] <= 1.0:
             row[state + DONE * n + k] = 1.0
-    _keep(joints, count, row, q, shift, best_shift, work, n, live)
+    _keep(joints, count, row, q, shift, best_shift, work, n)
     for _ in range(steps):
         running, curved = False, False
         for k in range(n):
             busy = row[state + DONE * n + k] == 0.0
             live[k] = 1.0 if busy else 0.0
             running = running or busy
-            curved = curved or (busy and row[state + CURVED * n + k] != 0.0)
+            curved = curved or (busy and row[curving + k] != 0.0)
             row[damping + k] = max(row[state + DAMPING * n + k] * row[state + COST * n + k], options[O_FLOOR])
         if not running:
             break
-        gather_forces(joints, count, row, work, n, curved)
+        if plain:
+            gather_forces(joints, count, row, work, n)
         for limit in range(limit_count):
-            find_normals(joints, limits, numbers, limit, row, q, data, work, n)
+            find_normals(joints, limits, numbers, limit, row, q, data, work, n, found)
         if limit_count:
             _force_none(count, row, work, n)
             _copy_sums(count, row, work, n, INERTIA, SAVED)
         forced = False
-        for again in range(2):
+        for again in range(int(options[O_PASSES])):
             if again:
                 _copy_sums(count, row, work, n, SAVED, INERTIA)
             eliminate(
-                joints, count, mover, ways, row, work, near, move, n, curved, forced, damping,
-                state + CURVED * n, sound,
-            )  # fmt: skip
+                joints, count, mover, ways, row, work, near, move, n, curved, forced, damping, curving, sound, promised
+            )
             follow(
-                joints, count, mover, row, q, work, move, active, promised, size, n, curved, forced, damping,
-                state + CURVED * n,
-            )  # fmt: skip
+                joints, count, mover, row, q, work, move, active, promised, size, n, curved, forced, damping, curving
+            )
             hit = False
             for limit in range(limit_count):
                 hit = hold_inside(limits, numbers, limit, row, q, data, work, near, n, live) or hit
@@ -153,32 +142,34 @@ def _solve_block(
                 break
             forced = True
         mask = load(row, active)
-        for k in range(3):
-            store(row, shift + k * n, load(row, best_shift + k * n) + mask * load(row, move + k * n))
+        for k in range(0, 3 * n, n):
+            store(row, shift + k, load(row, best_shift + k) + mask * load(row, move + k))
         forward(joints, count, mover, row, q, off, shift, work, n)
         gather_tasks(
-            joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, armed, per_m, per_rad
-        )  # fmt: skip
-        lost, bends = _judge(row, n, state, live, cost, miss, promised, size, sound, options)
-        if lost:
+            joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
+        )
+        lost, idle, bends = _judge(row, n, state, live, cost, miss, promised, size, sound, options)
+        if lost or idle:
             _restore(joints, count, row, q, shift, best_shift, work, n, live)
-        _keep(joints, count, row, q, shift, best_shift, work, n, live)
-        if lost or (bends and not armed):
-            armed = armed or bends
+        _keep(joints, count, row, q, shift, best_shift, work, n)
+        if lost or (bends and not plain):
+            plain = plain or bends
             forward(joints, count, mover, row, q, off, shift, work, n)
             gather_tasks(
-                joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, armed, per_m, per_rad
-            )  # fmt: skip
+                joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
+            )
 
 
 @kernel
 def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
-    """Take what is better and set the damping; ``live`` becomes 1 where a step was taken. Whether one was not, and whether
-    any wants curvature."""
-    lost, bends = False, False
+    """Take what is better and set the damping; ``live`` becomes 0 where nothing was taken.
+
+    Whether there is such a one, whether any solve was done before, and whether any wants curvature.
+    """
+    lost, idle, bends = False, False, False
     for k in range(n):
         if live[k] == 0.0:
-            lost = True
+            idle = True
             continue
         d, g = state + DAMPING * n + k, state + GROWTH * n + k
         c, v = state + COST * n + k, state + CURVED * n + k
@@ -198,11 +189,12 @@ def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
             lost = True
         row[d] = min(max(row[d], options[O_LEAST]), options[O_MOST])
         row[state + STEPS * n + k] += 1.0
-        still = sane and (row[size + k] < options[O_SETTLED] or row[promised + k] < options[O_ROUNDING] * old)
+        still = sane and (row[size + k] < options[O_SETTLED] or abs(row[promised + k]) < options[O_ROUNDING] * old)
         if row[state + MISS * n + k] <= 1.0 or still or row[d] >= options[O_MOST]:
             row[state + DONE * n + k] = 1.0
-        bends = bends or row[v] != 0.0
-    return lost, bends
+        elif row[v] != 0.0:
+            bends = True
+    return lost, idle, bends
 
 
 @kernel
@@ -223,17 +215,17 @@ def _copy_sums(count, row, work, n, start, end):
 
 
 @kernel
-def _keep(joints, count, row, q, shift, best_shift, work, n, live):
-    """What was taken becomes the best."""
+def _keep(joints, count, row, q, shift, best_shift, work, n):
+    """What is there becomes the best."""
     for j in range(count):
         w = work + j * SLOTS * n
-        for k in range(4):
-            store(row, w + (BEST + k) * n, load(row, q + (4 * j + k) * n))
+        a, b, c, d = load4(row, q + 4 * j * n, n)
+        store4(row, w + BEST * n, n, a, b, c, d)
         if joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
-            for k in range(3):
-                store(row, w + (BEST_SIDE + k) * n, load(row, w + (SIDE + k) * n))
-    for k in range(3):
-        store(row, best_shift + k * n, load(row, shift + k * n))
+            a, b, c = load3(row, w + SIDE * n, n)
+            store3(row, w + BEST_SIDE * n, n, a, b, c)
+    a, b, c = load3(row, shift, n)
+    store3(row, best_shift, n, a, b, c)
 
 
 @kernel

@@ -40,16 +40,19 @@ from keypose.kernels.vectors import absolute, fill, flip_sign, load, maximum, sq
 
 @inlined
 def cross(ax, ay, az, bx, by, bz):
+    """a x b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @inlined
 def add(m, at, value):
+    """Add to what is there."""
     store(m, at, load(m, at) + value)
 
 
 @inlined
 def add3(m, at, n, x, y, z):
+    """Add to three slots."""
     add(m, at, x)
     add(m, at + n, y)
     add(m, at + 2 * n, z)
@@ -76,30 +79,25 @@ def forward(joints, count, mover, row, q, off, shift, work, n):
         store3(row, w + PLACE * n, n, x, y, z)
 
 
-@kernel
-def _clear(row, work, count, n, curved):
-    zero = fill(row, 0.0)
-    last = VIRIAL + 9 if curved else VIRIAL
-    for j in range(count):
-        w = work + j * SLOTS * n
-        for k in range(INERTIA, last):
-            store(row, w + k * n, zero)
+@inlined
+def _counted(row, weight):
+    """0 where a weight takes its task out, 1 elsewhere."""
+    return weight / maximum(weight, fill(row, 1e-300))
 
 
 @inlined
-def _push(row, w, n, px, py, pz, fx, fy, fz, curved):
-    """A force at a place: plain sums for the gradient of every joint above."""
+def _push(row, w, n, px, py, pz, fx, fy, fz):
+    """A force at a place, in the plain sums."""
     add3(row, w + PULL * n, n, fx, fy, fz)
     mx, my, mz = cross(px, py, pz, fx, fy, fz)
     add3(row, w + MOMENT * n, n, mx, my, mz)
-    if curved:
-        add3(row, w + VIRIAL * n, n, px * fx, px * fy, px * fz)
-        add3(row, w + (VIRIAL + 3) * n, n, py * fx, py * fy, py * fz)
-        add3(row, w + (VIRIAL + 6) * n, n, pz * fx, pz * fy, pz * fz)
+    add3(row, w + VIRIAL * n, n, px * fx, px * fy, px * fz)
+    add3(row, w + (VIRIAL + 3) * n, n, py * fx, py * fy, py * fz)
+    add3(row, w + (VIRIAL + 6) * n, n, pz * fx, pz * fy, pz * fz)
 
 
 @kernel
-def _position(row, w, at, n, pointed, curved, cost, miss, per_m):
+def _position(row, w, at, n, pointed, plain, cost, miss, per_m):
     tx, ty, tz, weight = load4(row, at, n)
     px, py, pz = load3(row, w + PLACE * n, n)
     ww = weight * weight
@@ -121,23 +119,21 @@ def _position(row, w, at, n, pointed, curved, cost, miss, per_m):
         add(row, w + (MIXED + 5) * n, 0.0 - sx)
         add(row, w + (MIXED + 6) * n, 0.0 - sy)
         add(row, w + (MIXED + 7) * n, sx)
-        rx, ry, rz = px - tx, py - ty, pz - tz
-        gx, gy, gz = cross(sx, sy, sz, rx, ry, rz)
+        gx, gy, gz = cross(sx, sy, sz, px - tx, py - ty, pz - tz)
         add3(row, w + TORQUE * n, n, gx, gy, gz)
     rx, ry, rz = px - tx, py - ty, pz - tz
     fx, fy, fz = ww * rx, ww * ry, ww * rz
     add3(row, w + FORCE * n, n, fx, fy, fz)
-    _push(row, w, n, px, py, pz, fx, fy, fz, curved)
+    if plain:
+        _push(row, w, n, px, py, pz, fx, fy, fz)
     squared = rx * rx + ry * ry + rz * rz
     add(row, cost, 0.5 * (ww * squared))
-    # A weight of 0 takes the task out; any other counts whole.
-    counts = weight / maximum(weight, fill(row, 1e-300))
-    store(row, miss, maximum(load(row, miss), counts * per_m * sqrt(squared)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * sqrt(squared)))
 
 
 @kernel
 def _logarithm(row, q, out, n):
-    """The rotation vector of the unit quaternions at ``q``, its angle, and (half angle / sine of it) squared: to ``out``."""
+    """The rotation vectors of unit quaternions, their angles, and (half angle / its sine) squared: five slots at ``out``."""
     for k in range(n):
         w, x, y, z = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
         sign = -1.0 if w < 0.0 else 1.0
@@ -151,7 +147,7 @@ def _logarithm(row, q, out, n):
 
 @inlined
 def _turn_inertia(row, vector, n, ww):
-    """The six entries of ww (s I + (1 - s) axis axis^T) and the gradient, from what `_logarithm` wrote."""
+    """The six entries of ww (s I + (1 - s) axis axis^T), and the gradient, from what `_logarithm` wrote."""
     x, y, z, angle = load4(row, vector, n)
     s = load(row, vector + 4 * n)
     rest = ww * (1.0 - s) / maximum(angle * angle, fill(row, 1e-30))
@@ -162,28 +158,28 @@ def _turn_inertia(row, vector, n, ww):
 
 
 @kernel
-def _orientation(row, w, at, n, near, cost, miss, per_rad):
+def _orientation(row, w, at, n, near, plain, cost, miss, per_rad):
     a, b, c, d = load4(row, w + TURN * n, n)
     e, f, g, h = load4(row, at, n)
     weight = load(row, at + 4 * n)
     ww = weight * weight
-    r, s, t, u = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
-    store4(row, near, n, r, s, t, u)
+    a, b, c, d = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
+    store4(row, near, n, a, b, c, d)
     _logarithm(row, near, near + 4 * n, n)
     xx, xy, xz, yy, yz, zz, gx, gy, gz = _turn_inertia(row, near + 4 * n, n, ww)
     add3(row, w + INERTIA * n, n, xx, xy, xz)
     add3(row, w + (INERTIA + 3) * n, n, yy, yz, zz)
     add3(row, w + TORQUE * n, n, gx, gy, gz)
-    add3(row, w + MOMENT * n, n, gx, gy, gz)
+    if plain:
+        add3(row, w + MOMENT * n, n, gx, gy, gz)
     angle = load(row, near + 7 * n)
     add(row, cost, 0.5 * (ww * (angle * angle)))
-    counts = weight / maximum(weight, fill(row, 1e-300))
-    store(row, miss, maximum(load(row, miss), counts * per_rad * angle))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * angle))
 
 
 @kernel
-def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, curved):
-    """One residual that follows a body's turn by a and its motion by v; its force pulls at q."""
+def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, plain):
+    """One residual r that follows a body's turn by a and its motion by v; for the curvature its force pulls at q."""
     x, y, z = ww * ax, ww * ay, ww * az
     add3(row, w + INERTIA * n, n, x * ax, x * ay, x * az)
     add3(row, w + (INERTIA + 3) * n, n, y * ay, y * az, z * az)
@@ -191,13 +187,13 @@ def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, curved):
     add3(row, w + (MIXED + 3) * n, n, y * vx, y * vy, y * vz)
     add3(row, w + (MIXED + 6) * n, n, z * vx, z * vy, z * vz)
     add3(row, w + TORQUE * n, n, x * r, y * r, z * r)
-    px, py, pz = load3(row, w + PLACE * n, n)
     fx, fy, fz = ww * vx * r, ww * vy * r, ww * vz * r
-    mx, my, mz = cross(px, py, pz, fx, fy, fz)
-    add3(row, w + MOMENT * n, n, mx + x * r, my + y * r, mz + z * r)
-    add3(row, w + PULL * n, n, fx, fy, fz)
     add3(row, w + FORCE * n, n, fx, fy, fz)
-    if curved:
+    if plain:
+        px, py, pz = load3(row, w + PLACE * n, n)
+        mx, my, mz = cross(px, py, pz, fx, fy, fz)
+        add3(row, w + MOMENT * n, n, mx + x * r, my + y * r, mz + z * r)
+        add3(row, w + PULL * n, n, fx, fy, fz)
         add3(row, w + VIRIAL * n, n, qx * fx, qx * fy, qx * fz)
         add3(row, w + (VIRIAL + 3) * n, n, qy * fx, qy * fy, qy * fz)
         add3(row, w + (VIRIAL + 6) * n, n, qz * fx, qz * fy, qz * fz)
@@ -207,7 +203,7 @@ def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, curved):
 
 
 @kernel
-def _look_at(row, w, at, n, curved, cost, miss, per_rad):
+def _look_at(row, w, at, n, plain, cost, miss, per_rad):
     a, b, c, d = load4(row, w + TURN * n, n)
     tx, ty, tz, weight = load4(row, at, n)
     bx, by, bz = load3(row, at + 4 * n, n)
@@ -220,23 +216,22 @@ def _look_at(row, w, at, n, curved, cost, miss, per_rad):
     x, y, z = x / far, y / far, z / far
     ww, one = weight * weight, 1.0 / far
     rx, ry, rz = ux - x, uy - y, uz - z
-    # By moving: (I - d d^T) / far. By turning: a turn t changes the axis by t x u, the foot by t x b.
+    # By moving: (I - d d^T) / far. By turning by t: the axis changes by t x u, the foot by t x b.
     sxx, sxy, sxz = one * (1.0 - x * x), 0.0 - one * x * y, 0.0 - one * x * z
     syy, syz, szz = one * (1.0 - y * y), 0.0 - one * y * z, one * (1.0 - z * z)
     ax, ay, az = cross(bx, by, bz, sxx, sxy, sxz)
-    _row_of_body(row, w, n, ww, ax, ay + uz, az - uy, sxx, sxy, sxz, rx, px, py, pz, curved)
+    _row_of_body(row, w, n, ww, ax, ay + uz, az - uy, sxx, sxy, sxz, rx, px, py, pz, plain)
     ax, ay, az = cross(bx, by, bz, sxy, syy, syz)
-    _row_of_body(row, w, n, ww, ax - uz, ay, az + ux, sxy, syy, syz, ry, px, py, pz, curved)
+    _row_of_body(row, w, n, ww, ax - uz, ay, az + ux, sxy, syy, syz, ry, px, py, pz, plain)
     ax, ay, az = cross(bx, by, bz, sxz, syz, szz)
-    _row_of_body(row, w, n, ww, ax + uy, ay - ux, az, sxz, syz, szz, rz, px, py, pz, curved)
+    _row_of_body(row, w, n, ww, ax + uy, ay - ux, az, sxz, syz, szz, rz, px, py, pz, plain)
     squared = rx * rx + ry * ry + rz * rz
     add(row, cost, 0.5 * (ww * squared))
-    counts = weight / maximum(weight, fill(row, 1e-300))
-    store(row, miss, maximum(load(row, miss), counts * per_rad * sqrt(squared)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * sqrt(squared)))
 
 
 @kernel
-def _contact(row, w, at, n, on, curved, cost, miss, per_m):
+def _contact(row, w, at, n, on, plain, cost, miss, per_m):
     a, b, c, d = load4(row, w + TURN * n, n)
     ox, oy, oz = load3(row, at, n)
     nx, ny, nz = load3(row, at + 3 * n, n)
@@ -244,28 +239,28 @@ def _contact(row, w, at, n, on, curved, cost, miss, per_m):
     bx, by, bz = load3(row, at + 7 * n, n)
     bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
     px, py, pz = load3(row, w + PLACE * n, n)
-    height = (px + bx - ox) * nx + (py + by - oy) * ny + (pz + bz - oz) * nz
+    px, py, pz = px + bx, py + by, pz + bz
+    height = (px - ox) * nx + (py - oy) * ny + (pz - oz) * nz
     ww = weight * weight
     if not on:
         half = fill(row, 0.5)
         below = half - flip_sign(half, height)
         ww, height = ww * below, height * below
     ax, ay, az = cross(bx, by, bz, nx, ny, nz)
-    _row_of_body(row, w, n, ww, ax, ay, az, nx, ny, nz, height, px + bx, py + by, pz + bz, curved)
+    _row_of_body(row, w, n, ww, ax, ay, az, nx, ny, nz, height, px, py, pz, plain)
     add(row, cost, 0.5 * (ww * height * height))
-    counts = weight / maximum(weight, fill(row, 1e-300))
-    store(row, miss, maximum(load(row, miss), counts * per_m * absolute(height)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * absolute(height)))
 
 
 @kernel
 def _prior(row, w, up, q, at, n, near, cost):
-    """A joint's own prior: weight in the joint's damping, not in the body's inertia."""
+    """A joint's own prior: it weighs on the joint's turn alone, not on the body."""
     a, b, c, d = load4(row, q, n)
     e, f, g, h = load4(row, at, n)
     weight = load(row, at + 4 * n)
     ww = weight * weight
-    r, s, t, u = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
-    store4(row, near, n, r, s, t, u)
+    a, b, c, d = quat_multiply(a, b, c, d, e, 0.0 - f, 0.0 - g, 0.0 - h)
+    store4(row, near, n, a, b, c, d)
     _logarithm(row, near, near + 4 * n, n)
     if up >= 0:
         a, b, c, d = load4(row, up + TURN * n, n)
@@ -281,47 +276,52 @@ def _prior(row, w, up, q, at, n, near, cost):
 
 
 @kernel
-def _root_prior(row, w, shift, at, n, curved, cost):
+def _root_prior(row, w, shift, at, n, plain, cost):
+    """A spring at the joint that moves, above which nothing does."""
     tx, ty, tz, weight = load4(row, at, n)
     x, y, z = load3(row, shift, n)
     x, y, z, ww = x - tx, y - ty, z - tz, weight * weight
     add(row, cost, 0.5 * ww * (x * x + y * y + z * z))
-    # It pulls at the displacement alone: at the joint that moves, which nothing stands above.
     add(row, w + MASS * n, ww)
     add(row, w + (MASS + 3) * n, ww)
     add(row, w + (MASS + 5) * n, ww)
-    add3(row, w + FORCE * n, n, ww * x, ww * y, ww * z)
-    px, py, pz = load3(row, w + PLACE * n, n)
-    _push(row, w, n, px, py, pz, ww * x, ww * y, ww * z, curved)
+    x, y, z = ww * x, ww * y, ww * z
+    add3(row, w + FORCE * n, n, x, y, z)
+    if plain:
+        px, py, pz = load3(row, w + PLACE * n, n)
+        _push(row, w, n, px, py, pz, x, y, z)
 
 
 @kernel
 def gather_tasks(
-    joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, curved, per_m, per_rad
+    joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
 ):
-    """Inertias and forces of all tasks, cost and miss."""
-    _clear(row, work, count, n, curved)
+    """Inertias and forces of all tasks, cost and miss; the plain sums only where they are wanted."""
     zero = fill(row, 0.0)
-    store(row, cost, zero)
-    store(row, miss, zero)
+    last = VIRIAL + 9 if plain else MOMENT
     for j in range(count):
+        w = work + j * SLOTS * n
+        for k in range(INERTIA, last):
+            store(row, w + k * n, zero)
         if joints[j * JOINT_COLUMNS + J_PRIOR]:
             for k in range(PRIOR_INERTIA, PRIOR_PULL + 3):
-                store(row, work + (j * SLOTS + k) * n, zero)
+                store(row, w + k * n, zero)
+    store(row, cost, zero)
+    store(row, miss, zero)
     for t in range(term_count):
         k = t * TERM_COLUMNS
-        kind, joint, at, option = terms[k + T_KIND], terms[k + T_JOINT], terms[k + T_AT], terms[k + T_OPTION]
-        w, at = work + joint * SLOTS * n, data + at * n
+        kind, joint, option = terms[k + T_KIND], terms[k + T_JOINT], terms[k + T_OPTION]
+        w, at = work + joint * SLOTS * n, data + terms[k + T_AT] * n
         if kind == POSITION:
-            _position(row, w, at, n, option != 0, curved, cost, miss, per_m)
+            _position(row, w, at, n, option != 0, plain, cost, miss, per_m)
         elif kind == ORIENTATION:
-            _orientation(row, w, at, n, near, cost, miss, per_rad)
+            _orientation(row, w, at, n, near, plain, cost, miss, per_rad)
         elif kind == LOOK_AT:
-            _look_at(row, w, at, n, curved, cost, miss, per_rad)
+            _look_at(row, w, at, n, plain, cost, miss, per_rad)
         elif kind == CONTACT:
-            _contact(row, w, at, n, option != 0, curved, cost, miss, per_m)
+            _contact(row, w, at, n, option != 0, plain, cost, miss, per_m)
         elif kind == PRIOR:
             up = joints[joint * JOINT_COLUMNS + J_PARENT]
             _prior(row, w, work + up * SLOTS * n if up >= 0 else -1, q + 4 * joint * n, at, n, near, cost)
         else:
-            _root_prior(row, w, shift, at, n, curved, cost)
+            _root_prior(row, w, shift, at, n, plain, cost)
