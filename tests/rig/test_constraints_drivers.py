@@ -186,6 +186,19 @@ def test_what_hangs_on_a_constrained_joint_follows() -> None:
     assert np.allclose(now[:2], free[:2])
 
 
+def test_controls_that_their_module_places_can_be_held_too() -> None:
+    skeleton = human().skeleton
+    for control, moves in (
+        ("index.2.L", {"index.2.L": ((0, 0, 0), (1.5, 0, 0))}),
+        ("toes.L", {"toes.L": ((0, 0, 0), (1.5, 0, 0))}),
+    ):
+        limit = Constraint("k", KIND.LIMIT_ROTATION, control, low=(-0.5, -0.5, -0.5), high=(0.5, 0.5, 0.5))
+        held = replace(human_rig(), constraints=(limit,))
+        n = held.controls.index(control)
+        free, now = (solve_rig(r, skeleton, moved(r, moves)).model_from_control[n] for r in (human_rig(), held))
+        assert quat.angle_between(rotation_of(free), rotation_of(now)) == pytest.approx(1.0, abs=1e-6)
+
+
 def test_constraints_in_batches_are_those_one_by_one() -> None:
     kinds = (KIND.PARENT, KIND.AIM, KIND.COPY_ROTATION, KIND.LIMIT_ROTATION)
     held = [

@@ -44,7 +44,7 @@ def test_float32_stays_float32() -> None:
     assert pose.translations.dtype == np.float32
 
 
-@pytest.mark.parametrize("batch", [(), (1,), (7,), (2, 3)])
+@pytest.mark.parametrize("batch", [(), (0,), (1,), (7,), (2, 3)])
 def test_batches_of_any_shape_are_the_poses_one_by_one(batch: tuple[int, ...]) -> None:
     skeleton, rig, rng = human().skeleton, human_rig(), RNG(1)
     controls = random_controls(rig, rng, batch)

@@ -10,7 +10,7 @@ import pytest
 
 from keypose import evaluate, io, samples
 from keypose.analysis import find_roles
-from keypose.errors import KeyposeError
+from keypose.errors import KeyposeError, ShapeError
 from keypose.model import (
     Channel,
     Clip,
@@ -255,6 +255,12 @@ def test_cmu_captures_come_back_from_controls(path: Path) -> None:
     baked = bake_rig(rig, skeleton, fit.clip)
     ends = [skeleton.index(n) for n in ("lhand", "rhand", "lfoot", "rfoot", "lradius", "rtibia")]
     assert np.abs(places(skeleton, baked.pose)[:, ends] - places(skeleton, motion.pose)[:, ends]).max() < 1e-6
+
+
+def test_a_motion_without_frames_is_refused() -> None:
+    skeleton, motion = performance("walk")
+    with pytest.raises(ShapeError, match="at least one frame"):
+        fit_controls(human_rig(), skeleton, replace(motion, pose=motion.pose[:0], morph_names=(), morph_weights=None))
 
 
 def test_what_is_no_humanoid_gets_no_rig() -> None:

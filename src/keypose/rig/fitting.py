@@ -70,9 +70,11 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
     spine's IK. The motion is matched to the skeleton by name.
 
     Raises:
-        ShapeError: where the rig does not fit the skeleton.
+        ShapeError: where the rig does not fit the skeleton, or the motion has no frames.
         UnknownName: where a value is no attribute.
     """
+    if motion.frame_count == 0:
+        raise ShapeError("motion: expected at least one frame")
     motion = match(motion, skeleton)
     base = _double(motion.pose.broadcast())
     state, _ = begin(rig, skeleton, None, values, base)

@@ -23,7 +23,7 @@ def frames_of(pose: Pose, count: int) -> Floats:
     if not batch or all(a.ndim == 2 for a in arrays):
         return rigid.from_trs(*arrays).reshape(-1, 1, 4, 4)
     matrices = np.broadcast_to(rigid.from_trs(*arrays), (*batch, pose.joint_count, 4, 4))
-    return np.ascontiguousarray(np.moveaxis(matrices.reshape(count, -1, 4, 4), 1, 0))
+    return np.ascontiguousarray(np.moveaxis(matrices.reshape(count, pose.joint_count, 4, 4), 1, 0))
 
 
 def inverse(m: Floats) -> Floats:

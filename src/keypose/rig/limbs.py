@@ -134,12 +134,13 @@ def move_limb(state: State, module: LimbModule) -> None:
     plan = state.plan
     forward: list[Floats] = []
     toes = module.foot if module.foot is not None and module.foot.toes_joint else None
-    if not np.all(switch == 1):
+    reaching = bool(np.any(switch != 0))
+    if not (reaching and np.all(switch == 1)):
         forward = [state.control(c) @ plan.offset(c, j) for c, j in zip(limb.controls, limb.joints, strict=True)]
         if toes is not None:
             forward.append(state.control(limb.controls[2]) @ plan.control_rest_inverse[limb.controls[2]])
     solved: list[Floats] = []
-    if np.any(switch != 0):
+    if reaching:
         stand, foot_now = _stand(state, module, limb)
         solved = _reach(state, module, limb, foot_now)
         if toes is not None:

@@ -225,7 +225,6 @@ def _move_fingers(state: State, module: FingersModule) -> None:
         amount = state.value(curl) + state.value(own)
         frame_now = carrier @ plan.parent_rest[plan.control(finger.controls[0])]
         for n, (joint, control) in enumerate(_pairs(state, finger)):
-            rest = state.local[control]
             if curled or fanned:
                 turn = np.eye(3)[None]
                 if fanned and n == 0:
@@ -237,8 +236,7 @@ def _move_fingers(state: State, module: FingersModule) -> None:
                 frame_used = frame_now @ local_rest @ frame(turn, np.zeros(3)) @ inverse(local_rest)
             else:
                 frame_used = frame_now
-            world = frame_used @ rest
-            state.frames[control], state.controls[control] = frame_used, world
+            world = state.put(control, frame_used)
             state.joints[joint] = world @ plan.offset(control, joint)
             frame_now = world
 

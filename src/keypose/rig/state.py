@@ -77,7 +77,7 @@ class State:
             return self.place(carriers[0])
         chosen = self.value(self.plan.rig.looks[control].space_attribute)
         index = np.clip(np.rint(chosen), 0, len(carriers) - 1).astype(np.intp)
-        used = np.unique(index)
+        used = np.unique(index) if index.size else np.zeros(1, np.intp)
         frame = self.place(carriers[used[0]])
         for n in used[1:]:
             frame = np.where((index == n)[:, None, None], self.place(carriers[n]), frame)
