@@ -102,7 +102,7 @@ def still_spells(
             for other, theirs in tracks.items():
                 if other != side:
                     carries &= track[start:stop, 1] - theirs[start:stop, 1] <= near_m
-            found.append(Spell(np.median(track[start:stop], axis=0), start, stop, side, bool(carries.mean() > 0.3)))
+            found.append(Spell(np.median(track[start:stop], axis=0), start, stop, side, bool(carries.mean() > 0.1)))
     return found
 
 
