@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-VERBS = ("demo", "studio", "play", "info", "check", "convert", "retarget", "roles", "render", "graph", "bench")
+VERBS = ("demo", "studio", "play", "info", "check", "convert", "retarget", "rig", "roles", "render", "graph", "bench")
 
 
 def keypose(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
