@@ -41,7 +41,7 @@ def strip(scene: Scene, rows: Sequence[Motion], frames: Sequence[int], camera: C
 
 def reaching(scene: Scene, walk: Motion) -> None:
     """A walk before and after a reach."""
-    done = reach(walk, scene.character.skeleton, [Reach("left_hand", 60, 66, target=(0.34, 1.32, 1.66))], ease_s=0.45)
+    done = reach(walk, scene.character.skeleton, [Reach("left_hand", 60, 66, target=(0.34, 1.3, 1.6))], ease_s=0.45)
     camera = Camera(62.0, 6.0, fov_deg=24.0, target=(0.0, 0.84, 0.0), distance=4.8)
     strip(scene, [walk, done.motion], range(36, 91, 9), camera, "constraints-reach.jpg")
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from keypose import samples
-from keypose.editing.limb_pose import limb_above
+from keypose.editing.limb_pose import bend_direction, limb_above
 from keypose.editing.reach import Reach, changed_frames, found_roles, joint_of, reach
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world
@@ -98,6 +98,23 @@ def test_the_way_there_is_smooth(cast):
     for joint, size in ((hand, 0.47), (elbow, 0.3)):
         acceleration = np.linalg.norm(np.diff(after[:, joint], 2, axis=0), axis=-1) * idle.rate_hz**2
         assert acceleration.max() < 2.5 * 12 * size / 0.4**2 / 4 + 10
+
+
+def test_an_elbow_never_bends_backwards_on_the_way(cast):
+    """A hand that must be at the end of the arm's length while the body walks on: angles alone would swing beyond straight."""
+    motions, skeleton, roles = cast
+    walk = motions["walk"]
+    done = reach(walk, skeleton, [Reach("left_hand", 60, 66, target=(0.34, 1.3, 1.6))], ease_s=0.45).motion
+    side = limb_above(skeleton, roles["left_hand"], roles)
+    usual = bend_direction(walk, skeleton, side)
+    frames = np.asarray(world(skeleton, done.pose.broadcast()), np.float64)[30:100]
+    start, middle, end = (frames[:, j, :3, 3] for j in (side.upper, side.lower, side.end))
+    along = (end - start) / np.linalg.norm(end - start, axis=-1, keepdims=True)
+    out = (middle - start) - along * np.sum((middle - start) * along, axis=-1, keepdims=True)
+    out = np.einsum("fij,fi->fj", frames[:, side.upper, :3, :3], out)
+    assert np.all(out @ usual > -1e-3)
+    turned = np.abs(np.diff(np.float64(done.pose.rotations[30:100, side.lower]), 2, axis=0)).max()
+    assert turned < 0.04  # of a quaternion in a sixtieth of a second
 
 
 def test_targets_out_of_reach_settle(cast):

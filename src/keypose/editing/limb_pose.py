@@ -74,13 +74,13 @@ def bend_limb(
     rotations: Floats | None = None,
     carried: int | None = None,
     follow: bool = False,
-    softness: float = 0.0,
+    softness: float | Floats = 0.0,
 ) -> LimbPose:
     """Turn a limb in F poses so that its end, or the joint ``carried`` by it, is at its target.
 
     Shapes and units: ``pose`` of batch shape (F,); ``targets`` (F, 3) metres in the model's space; ``rotations`` (F, 4) of the
     end in the model's space, else it keeps its own, or with ``follow`` goes on as the bone above it; ``bend`` as of
-    `bend_direction`; ``softness`` a share of the limb's length.
+    `bend_direction`; ``softness`` the share of the limb's length over which it slows down before it is straight, one or (F,).
 
     Raises:
         ShapeError: where the limb has a bone without length, or what is carried shall follow.
@@ -107,7 +107,10 @@ def bend_limb(
     old_normal = np.cross(end - start, pole)
     # The bend turns with the limb.
     swung = quat.rotate(_between(end - start, goal - start), pole)
-    solved = solve_limb(start, goal, swung, upper_m=upper_m, lower_m=lower_m, softness_m=softness * (upper_m + lower_m))
+    near = (
+        start + (goal - start) * _softened(np.linalg.norm(goal - start, axis=-1), upper_m + lower_m, softness)[:, None]
+    )
+    solved = solve_limb(start, near, swung, upper_m=upper_m, lower_m=lower_m)
     turn_upper = rotation_between_frames(middle - start, old_normal, solved.middle - start, solved.normal)
     turn_lower = rotation_between_frames(end - middle, old_normal, solved.end - solved.middle, solved.normal)
     result = np.empty((len(goal), 3, 4))
@@ -124,7 +127,7 @@ def bend_limb(
     for n, joint in enumerate((limb.upper, limb.lower, limb.end)):
         side = np.sum(result[:, n] * local[:, joint], axis=-1, keepdims=True)
         result[:, n] = np.where(side < 0, -result[:, n], result[:, n])
-    return LimbPose(quat.normalize(result), np.asarray(solved.error_m))
+    return LimbPose(quat.normalize(result), np.linalg.norm(solved.end - goal, axis=-1))
 
 
 def keep_ends(
@@ -172,6 +175,16 @@ def path_up(skeleton: Skeleton, joint: int) -> list[int]:
     while (joint := int(skeleton.parents[joint])) >= 0:
         path.append(joint)
     return path
+
+
+def _softened(distance: Floats, reach_m: float, softness: float | Floats) -> Floats:
+    """The share of a distance that a limb goes; Source: A. Nicol, "Soft IK" (2007), as in `solve_limb`, for each pose its own."""
+    soft = np.broadcast_to(np.asarray(softness, np.float64) * reach_m, distance.shape)
+    hard = reach_m - soft
+    over = np.maximum(distance - hard, 0.0)
+    safe = np.where(soft > 0, soft, 1.0)
+    used = np.where((soft > 0) & (over > 0), hard + soft * (1.0 - np.exp(-over / safe)), distance)
+    return used / np.maximum(distance, 1e-12)
 
 
 def _across(start: Floats, middle: Floats, end: Floats) -> Floats:

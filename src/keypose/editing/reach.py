@@ -27,6 +27,8 @@ _EXACT = SolveOptions(tolerance_m=1e-7)
 # What a radian of the whole body counts, in metres, and a metre of the root: so much that hips stay over the feet.
 _PRIOR_M, _PRIOR_ROOT = 0.03, 0.3
 _BODY_ROUNDS = 4
+# The share of a limb's length over which it slows down on its way, where no constraint says where it is.
+_SOFT = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +168,8 @@ def reach(
         result, kept_m = _with_body(motion, result, skeleton, goals, short, known, ease, keep)
     done = 0
     for stage in _stages(goals, skeleton):
-        # What rounding and a first pass leave, further ones take.
+        result = _along_paths([g for g in stage if g.limb is not None], result, skeleton, ease, softness)
+        # What softness, rounding and a first pass leave, further ones take.
         for _ in range(3):
             turns: dict[int, _Changes] = {}
             moves: dict[int, _Changes] = {}
@@ -308,6 +311,46 @@ def _solve(
             goal.reach.rotation if parent < 0 else quat.multiply(quat.conjugate(turned[:, parent]), goal.reach.rotation)
         )
         turns.setdefault(goal.joint, _Changes()).add(frames, rotation_change(local[:, goal.joint], above))
+
+
+def _along_paths(goals: Sequence[_Goal], motion: Motion, skeleton: Skeleton, ease: int, softness: float) -> Motion:
+    """The motion with the ends of limbs on displaced paths, reached frame by frame.
+
+    Angles that are displaced in one frame may bend a middle joint the wrong way in another; a path that is displaced cannot.
+    Limbs that it would stretch beyond their length slow down before, less so the nearer a constraint is.
+    """
+    by_joint: dict[int, list[_Goal]] = {}
+    for goal in goals:
+        by_joint.setdefault(goal.joint, []).append(goal)
+    for joint, own in by_joint.items():
+        limb = own[0].limb
+        if limb is None:
+            continue
+        own.sort(key=lambda g: g.reach.first)
+        frames = np.concatenate([g.reach.frames for g in own])
+        places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)[:, joint]
+        offsets = np.concatenate([g.targets for g in own]) - places[frames]
+        path = fit_displacement(frames, offsets, motion.frame_count, ease).values
+        sure = fit_displacement(frames, np.ones((len(frames), 1)), motion.frame_count, ease).values[:, 0]
+        rows = np.flatnonzero(np.any(path != 0, axis=-1))
+        if not len(rows):
+            continue
+        full = motion.pose.broadcast()
+        solved = bend_limb(
+            skeleton,
+            Pose(full.translations[rows], full.rotations[rows], full.scales[rows]),
+            limb,
+            places[rows] + path[rows],
+            bend=bend_direction(motion, skeleton, limb),
+            carried=joint,
+            follow=not own[0].keep_rotation and joint == limb.end,
+            softness=softness + _SOFT * (1.0 - np.clip(sure[rows], 0.0, 1.0)),
+        )
+        rotations = np.array(full.rotations)
+        for n, part in enumerate((limb.upper, limb.lower, limb.end)):
+            rotations[rows, part] = solved.rotations[:, n]
+        motion = motion.with_pose(Pose(motion.pose.translations, rotations, motion.pose.scales))
+    return motion
 
 
 def _with_body(
