@@ -4,7 +4,7 @@ import type { Animation } from "../anim/animation";
 import { Clock } from "../anim/clock";
 import type { Rig } from "../anim/rig";
 import { editor } from "../edit/editor.svelte";
-import type { EditResult, RetargetAsked, RetargetDone, RetargetRequest, RetargetRoles, RetargetSubject } from "../generated/messages";
+import type { EditResult, RetargetAsked, RetargetDone, RetargetRoles, RetargetSubject } from "../generated/messages";
 import { History } from "../history.svelte";
 import { save } from "../net/download";
 import { Player } from "../player.svelte";
@@ -14,30 +14,8 @@ import type { Actor } from "../view/actor";
 import { SIDES, type Look, type Pair, type SideName } from "./pair";
 import type { Print } from "./prints";
 import { assigned, fromJson, labelOf, mirrored, missingOf, toJson, type RoleTable } from "./roles";
+import { discard, mostHuman, PLAIN, requestOf, standsAtRest, stem, type Options, type Subject } from "./subjects";
 
-/** A scene on one of the two stages. */
-export interface Subject {
-  /** As the server knows it: the id of an open scene, or "sample:walk". */
-  readonly reference: string;
-  readonly name: string;
-  readonly file: OpenFile;
-  readonly found: readonly RetargetRoles[];
-  readonly character: number;
-  readonly animation: number;
-}
-
-export interface Options {
-  /** Null goes by the lengths of the legs. */
-  scale: number | null;
-  plant: boolean;
-  keepHands: boolean;
-  sourceReference: "auto" | "rest" | "time";
-  referenceTime: number;
-  targetReference: "auto" | "rest";
-  rate: number | null;
-}
-
-const PLAIN: Options = { scale: null, plant: true, keepHands: false, sourceReference: "auto", referenceTime: 0, targetReference: "auto", rate: null };
 const SETTLE_MS = 140;
 
 export class Retarget extends Player {
@@ -227,11 +205,7 @@ export class Retarget extends Player {
       return;
     }
     const old = this.subjects[side];
-    // the most human of several, which for a source also performs
-    const worth = (n: number) => -10 * told.characters[n].missing.length + (side === "source" ? 100 * file.animations[0].match(file.actors[n].rig, []) : 0);
-    const character = told.characters.map((_, n) => n).reduce((best, n) => (worth(n) > worth(best) ? n : best), 0);
-    const own = file.actors[character];
-    const animation = Math.max(0, file.animations.findIndex((a) => a.match(own.rig, own.morphNames) > 0.3));
+    const { character, animation } = mostHuman(side, told.characters, file);
     this.put(side, { reference, name: file.name.replace(/^sample:/, ""), file, found: told.characters, character, animation });
     if (old) discard(old.file);
   }
@@ -265,7 +239,7 @@ export class Retarget extends Player {
     const actor = this.actor("source");
     if (side === "source" && actor && !this.followChosen) this.look.follow = actor.travel() > 0.6 * actor.height;
     if (!same) {
-      this.atRest = this.side === side ? this.standsAtRest(side) : this.atRest;
+      this.atRest = this.side === side ? standsAtRest(this.actor(side)?.rig ?? null, this.table(side), this.found(side)) : this.atRest;
       this.applyLook();
       this.pair?.show(side, this.actor(side));
     }
@@ -342,7 +316,7 @@ export class Retarget extends Player {
     this.busy = true;
     this.stale = false;
     try {
-      const done = await this.ask<RetargetDone>(this.asked(source, target));
+      const done = await this.ask<RetargetDone>(requestOf(source, target, this.options, this.maps));
       if (this.subjects.source !== source || this.subjects.target !== target) return;
       if (!done.scene) {
         this.fail(done.error);
@@ -360,27 +334,6 @@ export class Retarget extends Player {
         void this.retarget();
       }
     }
-  }
-
-  private asked(source: Subject, target: Subject): RetargetRequest {
-    const { scale, plant, keepHands, sourceReference, referenceTime, targetReference, rate } = this.options;
-    return {
-      type: "retarget",
-      source: source.reference,
-      source_character: source.character,
-      animation: source.animation,
-      target: target.reference,
-      target_character: target.character,
-      source_roles: this.maps.source && { ...this.maps.source },
-      target_roles: this.maps.target && { ...this.maps.target },
-      source_reference: sourceReference,
-      reference_s: referenceTime,
-      target_reference: targetReference,
-      scale,
-      plant,
-      keep_hands: keepHands,
-      rate_hz: rate,
-    };
   }
 
   private fail(error: string): void {
@@ -456,22 +409,8 @@ export class Retarget extends Player {
     this.side = side;
     this.role = this.hoveredRole = null;
     this.hoveredJoint = -1;
-    this.atRest = this.standsAtRest(side);
+    this.atRest = standsAtRest(this.actor(side)?.rig ?? null, this.table(side), this.found(side));
     this.showPicking();
-  }
-
-  /** Whether it stands in its rest pose; some files keep one that is folded or upside down, which shows nothing. */
-  private standsAtRest(side: SideName): boolean {
-    const rig = this.actor(side)?.rig, table = this.table(side);
-    if (!rig || this.found(side)?.all_fours) return true;
-    const world = new Float64Array(12 * rig.count);
-    rig.solve(rig.rest, world);
-    return [["hips", "head"], ["left_foot", "left_upper_leg"], ["right_foot", "right_upper_leg"]].every(([low, high]) => {
-      if (table[low] === undefined || table[high] === undefined) return true;
-      const [from, to] = [table[low], table[high]].map((name) => 12 * rig.index(name) + 9);
-      const [x, y, z] = [0, 1, 2].map((axis) => world[to + axis] - world[from + axis]);
-      return y > 0.6 * Math.hypot(x, y, z);
-    });
   }
 
   /** To the roles of the body whose joints cannot all be told. */
@@ -636,13 +575,6 @@ export class Retarget extends Player {
   async screenshot(): Promise<void> {
     if (this.pair) save(await this.pair.screenshot(), `retarget-${stem(this.done?.name ?? "rest")}.png`);
   }
-}
-
-const stem = (name: string): string => name.replace(/\.[^.]*$/, "").replace(/[^\w.-]+/g, "_") || "motion";
-
-function discard(file: OpenFile): void {
-  for (const actor of file.actors) actor.dispose();
-  file.dispose();
 }
 
 export const retarget = new Retarget();

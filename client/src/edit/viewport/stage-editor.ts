@@ -183,7 +183,8 @@ export class StageEditor {
   /** The control whose outline is at a point of the canvas, or -1. */
   controlAt(x: number, y: number): number {
     const { controls, view } = this;
-    if (!controls?.lines.visible) return -1;
+    if (!controls || !tools.controls) return -1;
+    controls.write();
     // the lines lie on the stage already
     return controls.pick(x, y, CONTROL_REACH, (point) => view.projectStage(point))?.joint ?? -1;
   }
@@ -209,7 +210,7 @@ export class StageEditor {
     for (let joint = 0; joint < actor.rig.count; joint++) {
       const [x, y, depth] = view.project(actor, actor.jointPosition(joint, this.place));
       // of a rig, its controls alone
-      if (this.controls?.lines.visible && joint < actor.rig.jointCount) continue;
+      if (this.controls && tools.controls && joint < actor.rig.jointCount) continue;
       if (depth !== Infinity && x >= box.x && x <= box.x + box.width && y >= box.y && y <= box.y + box.height) inside.push(joint);
     }
     const before = more ? this.joints.filter((j) => !inside.includes(j)) : [];
@@ -362,7 +363,7 @@ export class StageEditor {
       return;
     }
     const held = joints.find((j) => this.controls?.idle(j));
-    const own = joints.find((j) => this.controls?.lines.visible && j < actor.rig.jointCount && this.controls.data.modules.some((m) => m.joints.includes(actor.rig.names[j])));
+    const own = joints.find((j) => this.controls && tools.controls && j < actor.rig.jointCount && this.controls.data.modules.some((m) => m.joints.includes(actor.rig.names[j])));
     if (held !== undefined) editor.toast("info", `${actor.rig.names[held]} moves nothing now`, "Its limb goes by the other side: Shift+K goes over between FK and IK.");
     else if (own !== undefined) editor.toast("info", `${actor.rig.names[own]} is moved by the rig`, "Pick one of its controls: the outlines around the body.");
     // the pose that is shown, with what was set by hand
