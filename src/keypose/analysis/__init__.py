@@ -11,12 +11,14 @@ from keypose.analysis.contacts import (
 from keypose.analysis.doctor import Examination, Finding, examine
 from keypose.analysis.ground import Ground
 from keypose.analysis.limits import human_limits
+from keypose.analysis.masses import BodyMasses, human_masses
 from keypose.analysis.proof import SceneError, scene_error
 from keypose.analysis.quality import Quality, TakeDifference, compare_takes, measure_quality
 from keypose.analysis.roles import RoleMap, find_roles, roles_from_json
 from keypose.analysis.roundtrip import RoundtripError, roundtrip_error
 
 __all__ = [
+    "BodyMasses",
     "Examination",
     "Finding",
     "Footing",
@@ -35,6 +37,7 @@ __all__ = [
     "find_roles",
     "foot_contacts",
     "human_limits",
+    "human_masses",
     "measure_quality",
     "roles_from_json",
     "roundtrip_error",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Floats, Ints
+from keypose.arrays import Array, Floats, Ints
 from keypose.ik import fullbody_dense as dense
 from keypose.ik.fullbody_dense import State
 from keypose.ik.fullbody_problem import Limited, Problem, Term
@@ -95,7 +95,7 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
     place[used] = np.arange(len(used))
     joints = np.zeros((len(used), columns.JOINT_COLUMNS), np.int64)
     joints[:, columns.J_PARENT] = [place[p] if p >= 0 else -1 for p in parents[used]]
-    joints[:, columns.J_KIND] = np.where(problem.free[used] > 0, columns.FREE, columns.FIXED)
+    joints[:, columns.J_KIND] = np.where((problem.free > 0)[used] & ~_idle(problem)[used], columns.FREE, columns.FIXED)
     joints[:, columns.J_LIMIT] = -1
     if problem.upright >= 0:
         joints[place[problem.upright], columns.J_KIND] = columns.UPRIGHT
@@ -153,6 +153,22 @@ def _used(problem: Problem) -> Ints:
     if problem.mover >= 0:
         needed[problem.mover] = True
     return np.flatnonzero(problem.above[:, needed].any(axis=1))
+
+
+def _idle(problem: Problem) -> Array:
+    """Joints (J,) whose turn changes nothing: the places of the last joints of limbs are all that is asked of them."""
+    moved = np.zeros(len(problem.parents), bool)
+    for term in problem.terms:
+        if term.kind is PosePrior or term.kind is Smoothness:
+            moved |= term.by_joint > 0
+            continue
+        above = problem.above[:, term.joint].copy()
+        if term.kind is PositionTask and not np.any(term.offset):
+            above[term.joint] = False
+        moved |= above
+    for one in problem.limited:
+        moved[one.joint] = True  # it may have to come inside
+    return ~moved
 
 
 class _Writer:
