@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from keypose import samples
+from keypose import io, samples
 from keypose.editing.limb_pose import bend_direction, limb_above
 from keypose.editing.reach import Reach, changed_frames, found_roles, joint_of, reach
 from keypose.errors import ShapeError, UnknownName
@@ -206,3 +206,33 @@ def test_progress_is_told(cast):
     wanted = [Reach("left_hand", 20, offset=(0, 0.1, 0)), Reach("hips", 60, offset=(0, -0.02, 0))]
     reach(motions["walk"], skeleton, wanted, progress=lambda done, total: seen.append((done, total)))
     assert seen[-1] == (2, 2) and seen == sorted(seen)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "take", ["asf_amc/cmu_02/02_01.amc", "asf_amc/cmu_02/02_05.amc", "bvh/cmu_iclone_002/002_Walk.bvh"]
+)
+def test_captures_of_other_skeletons(data_dir, take):
+    """Hands go up, a foot is lifted, on whatever bones a capture has."""
+    paths = [data_dir / take] if (data_dir / take).is_file() else sorted((data_dir / take).parent.glob("*" + take[-4:]))
+    scene = io.load(paths[0])
+    skeleton, motion = scene.character.skeleton, scene.animations[0]
+    roles = found_roles(skeleton)
+    middle = motion.frame_count // 2
+    size = 0.05 * np.ptp(places(skeleton, motion)[middle, :, 1])
+    wanted = [
+        Reach("left_hand", middle, middle + 5, offset=(0.0, size, size)),
+        Reach("right_hand", middle, offset=(0.0, size, 0.5 * size)),
+        Reach("left_foot", middle + 2, offset=(0.0, size, 0.0)),
+        Reach("head", middle, offset=(0.2 * size, 0.0, 0.2 * size)),
+    ]
+    done = reach(motion, skeleton, wanted)
+    before, after = places(skeleton, motion), places(skeleton, done.motion)
+    assert done.converged
+    for r in wanted:
+        moved = after[r.frames, roles[r.joint]] - before[r.frames, roles[r.joint]]
+        np.testing.assert_allclose(moved, r.offset, atol=2e-4)
+    near = np.zeros(motion.frame_count, bool)
+    ease = round(0.4 * motion.rate_hz)
+    near[max(middle - ease, 0) : middle + 6 + ease] = True
+    assert not done.changed[~near].any() and done.changed.any()
