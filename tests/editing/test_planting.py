@@ -202,6 +202,13 @@ def test_slopes_are_found_and_kept(degrees: float) -> None:
     places = world(skeleton, motion)[1]
     footing = find_footing(roles, places, motion.rate_hz, 0.85)
     assert footing.ground.kind == "slope"
+    # feet are pitched as the ground is where they are flat
+    flat = find_footing(roles, world(skeleton, slipping("walk", 0.0, 0.0))[1], motion.rate_hz, 0.85)
+    for side in ("left", "right"):
+        pitch = footing.soles[side].flat - flat.soles[side].flat
+        assert pitch == pytest.approx(np.radians(degrees), abs=0.02) and footing.lean[side] == pytest.approx(
+            pitch, abs=0.02
+        )
     assert footing.ground.slope[1] == pytest.approx(rise, abs=0.01)
     assert f"{abs(degrees):.0f}" in footing.ground.describe()
     done = plant_feet(motion, skeleton, roles)

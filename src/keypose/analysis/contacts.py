@@ -107,7 +107,8 @@ class Footing:
 
     Shapes and units: ``points`` and ``touching`` hold ``left_heel``, ``left_ball`` ...: places (T, 3) in metres and flags (T,).
     A foot without toes has a heel only, its ankle. ``stand_m``: how high each side's points are over the ``ground`` where they
-    stand (a joint lies inside the foot). ``soles`` (``left``, ``right``) of feet with toes.
+    stand (a joint lies inside the foot). ``soles`` (``left``, ``right``) of feet with toes; ``lean`` by how many radians the ground
+    under each of them rises from heel to ball where the foot is flat, as part of its sole's angle.
     """
 
     points: Mapping[str, Floats]
@@ -116,6 +117,7 @@ class Footing:
     stand_m: Mapping[str, float]
     soles: Mapping[str, Sole]
     rate_hz: float
+    lean: Mapping[str, float]
 
     def heights(self, point: str) -> Floats:
         """How high (T,) a point is over where it stands, metres."""
@@ -184,11 +186,9 @@ def find_footing(
             ankles[side] = places[:, roles[f"{side}_foot"]].astype(np.float64)
             ball = roles.get(f"{side}_toes", roles[f"{side}_foot"])
             tracks[side] = places[:, ball].astype(np.float64)
-    if isinstance(ground, Ground):
-        found = ground
-    else:
-        spells = still_spells(tracks, rate_hz, speed_m_s * size, height_m * size, shortest)
-        found = fit_ground(spells, tracks, height_m * size, ground)
+    spells = still_spells(tracks, rate_hz, speed_m_s * size, height_m * size, shortest)
+    own = fit_ground(spells, tracks, height_m * size, "auto" if isinstance(ground, Ground) else ground)
+    found = ground if isinstance(ground, Ground) else own
     stand = {side: _stand(found, track, rate_hz, speed_m_s * size, height_m * size) for side, track in tracks.items()}
     soles = {
         side: _sole(ankles[side], tracks[side], rate_hz, speed_m_s * size) for side in tracks if f"{side}_toes" in roles
@@ -197,13 +197,26 @@ def find_footing(
     touching: dict[str, np.ndarray] = {}
     # The sole's angle and the height of standing are those of the frames in contact; they are found with rough ones first.
     for _ in range(2):
-        footing = Footing(_points(ankles, tracks, soles), {}, found, stand, soles, rate_hz)
+        footing = Footing(_points(ankles, tracks, soles), {}, found, stand, soles, rate_hz, {})
         touching = {
             name: _touches(footing.heights(name), track, rate_hz, limits, shortest, size)
             for name, track in footing.points.items()
         }
         soles, stand = _refined(replace(footing, touching=touching), ankles)
-    return Footing(_points(ankles, tracks, soles), touching, found, stand, soles, rate_hz)
+    points = _points(ankles, tracks, soles)
+    lean = {side: _lean(own, points, touching, side) for side in soles}
+    return Footing(points, touching, found, stand, soles, rate_hz, lean)
+
+
+def _lean(own: Ground, points: Mapping[str, Floats], touching: Mapping[str, np.ndarray], side: str) -> float:
+    """How the ground on which a motion stands rises from heel to ball of a flat foot, radians."""
+    down = touching[f"{side}_ball"]
+    if own.kind == "flat" or not down.any():
+        return 0.0
+    flat = down & touching[f"{side}_heel"]
+    heel, ball = (points[f"{side}_{point}"][flat if flat.any() else down] for point in ("heel", "ball"))
+    between = ball - heel
+    return float(np.median(np.arctan2(own.heights(ball) - own.heights(heel), np.hypot(between[:, 0], between[:, 2]))))
 
 
 def _points(ankles: Mapping[str, Floats], tracks: Mapping[str, Floats], soles: Mapping[str, Sole]) -> dict[str, Floats]:

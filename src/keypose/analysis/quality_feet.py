@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def follow_feet(
     leg = leg_length(roles, places)
     footing = find_footing(roles, places, rate_hz, leg, ground="auto" if ground is None else ground)
     if touching is not None:
-        footing = Footing(footing.points, dict(touching), footing.ground, footing.stand_m, footing.soles, rate_hz)
+        footing = replace(footing, touching=dict(touching))
     slides = {side: _slide(side, footing) for side in SIDES}
     low = np.min([footing.heights(name) for name in footing.points], axis=0)
     return FeetTracks(footing, slides, -100.0 * np.minimum(low, 0.0), _floats(roles, places, footing, low, leg))

@@ -128,24 +128,12 @@ def _levelling(side: str, footing: Footing, ball_from_ankle: Floats, ankle: Floa
         # under heel and ball: what the ground rises between them, on top of what the foot's own build rises
         ball = ankle + ball_from_ankle
         under = footing.ground.heights(np.stack([ankle, ball]))
-        wanted = _sole_alone(footing, side) + float(np.arctan2(under[1] - under[0], level))
+        wanted = footing.soles[side].flat - footing.lean[side] + float(np.arctan2(under[1] - under[0], level))
     # a heel that is held up on purpose stays up
-    if abs(wanted - now) < _LEVEL_RAD or wanted - now > _RAISED_RAD:
+    if abs(wanted - now) < _LEVEL_RAD or footing.soles[side].flat - now > _RAISED_RAD:
         return np.array([1.0, 0.0, 0.0, 0.0])
     across = np.array([-ball_from_ankle[2], 0.0, ball_from_ankle[0]]) / level
     return quat.from_axis_angle(across, np.array(wanted - now))
-
-
-def _sole_alone(footing: Footing, side: str) -> float:
-    """The angle from ankle to ball over the ground, not over the level plane."""
-    heel, ball = footing.points[f"{side}_heel"], footing.points[f"{side}_ball"]
-    flat = footing.touching[f"{side}_heel"] & footing.touching[f"{side}_ball"]
-    if not flat.any():
-        return footing.soles[side].flat
-    between = (ball - heel)[flat]
-    rise = footing.ground.heights(ball[flat]) - footing.ground.heights(heel[flat])
-    tilt = np.arctan2(rise, np.hypot(between[:, 0], between[:, 2]))
-    return footing.soles[side].flat - float(np.median(tilt))
 
 
 def _held(
