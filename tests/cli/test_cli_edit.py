@@ -54,6 +54,16 @@ def test_the_whole_body_and_poses(tmp_path: Path) -> None:
     np.testing.assert_allclose(hips_and_hand(out)[60, 1], [0.3, 0.3, 0.5], atol=1e-3)
 
 
+def test_the_body_helps_a_short_arm(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    edits = {"clip": "idle", "quiet": True}
+    for whole_body, near in ((False, 1.0), (True, 1e-3)):
+        edit_file("sample:human", out, Edits(reaches=["left_hand@60=0.3,0.25,0.5"], whole_body=whole_body), **edits)
+        left = np.linalg.norm(hips_and_hand(out)[60, 1] - [0.3, 0.25, 0.5])
+        assert left < near
+        assert whole_body or left > 0.3
+
+
 @pytest.mark.data
 def test_a_capture_is_edited_and_filmed(data_dir: Path, tmp_path: Path) -> None:
     motion = data_dir / "asf_amc/cmu_02/02_01.amc"

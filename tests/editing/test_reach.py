@@ -196,6 +196,11 @@ def test_wrong_input_is_told(cast):
     twice = [Reach("left_hand", 5, 9, offset=(0, 0, 0)), Reach("LeftHand", 9, 12, offset=(0, 0, 0))]
     with pytest.raises(ShapeError, match="wanted twice between frames 9 and 9"):
         reach(walk, skeleton, twice)
+    far = [Reach("left_hand", 60, target=(0.3, 0.2, 2.0))]
+    with pytest.raises(UnknownName, match="joint or role"):
+        reach(walk, skeleton, far, whole_body=True, keep=["left_foto"])
+    with pytest.raises(ShapeError, match="end of a limb"):
+        reach(walk, skeleton, far, whole_body=True, keep=["Hips"])
     with pytest.raises(ShapeError, match="ease_s"):
         reach(walk, skeleton, [], ease_s=-1)
 

@@ -306,9 +306,12 @@ def edit(
     ] = None,
     keep: Annotated[
         list[str] | None,
-        typer.Option("--keep", metavar="JOINT", help="With --turn and --spacetime: what stays where it is."),
+        typer.Option("--keep", metavar="JOINT", help="With --turn, --whole-body and --spacetime: what stays."),
     ] = None,
     ease: Annotated[float, typer.Option("--ease", help="Seconds in which an edit comes and goes.", min=0)] = 0.4,
+    whole_body: Annotated[
+        bool, typer.Option("--whole-body", help="Trunk and hips help where an arm or a leg is too short; feet stay.")
+    ] = False,
     spacetime: Annotated[
         bool, typer.Option("--spacetime", help="Reach with the whole body, changing as little as possible; feet stay.")
     ] = False,
@@ -332,7 +335,7 @@ def edit(
     """Edit a motion by constraints: its speed, then its path, then poses, then places to reach; frames are the result's."""
     from keypose.cli.edit import Edits, edit_file
 
-    edits = Edits(reach or (), turn or (), keep or (), ease, spacetime, bend, loop, follow, stride, speed)
+    edits = Edits(reach or (), turn or (), keep or (), ease, whole_body, spacetime, bend, loop, follow, stride, speed)
     edit_file(
         motion,
         output,

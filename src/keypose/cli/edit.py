@@ -19,6 +19,7 @@ from keypose.model import Clip, Motion, Scene, Skeleton
 if TYPE_CHECKING:
     from keypose.editing.reach import Reach
 
+FEET = ("left_foot", "right_foot")
 FILMS = (".png", ".gif", ".mp4", ".webm")
 _REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
 _TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
@@ -33,6 +34,7 @@ class Edits:
     turns: Sequence[str] = ()
     keep: Sequence[str] = ()
     ease_s: float = 0.4
+    whole_body: bool = False
     spacetime: bool = False
     bend_deg: float | None = None
     loop: bool = False
@@ -121,7 +123,16 @@ def _edited(
     elif reaches:
         from keypose.editing.reach import reach
 
-        done = reach(result, skeleton, reaches, roles=roles, ease_s=edits.ease_s, progress=progress)
+        done = reach(
+            result,
+            skeleton,
+            reaches,
+            roles=roles,
+            ease_s=edits.ease_s,
+            whole_body=edits.whole_body,
+            keep=edits.keep or FEET,
+            progress=progress,
+        )
         result = done.motion
         lines += [_missed(r.joint, float(e.max())) for r, e in zip(reaches, done.error_m, strict=True)]
     if result.frame_count == motion.frame_count:
@@ -227,7 +238,7 @@ def _spacetime(
             wanted.append(Turn(r.joint, r.frames, r.rotation))
     span = np.arange(window[0], window[1] + 1)
     moved = {joint_of(skeleton, r.joint, roles) for r in reaches}
-    keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in ("left_foot", "right_foot") if f in roles]]
+    keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in FEET if f in roles]]
     wanted += kept_in_place(motion, skeleton, [skeleton.names[j] for j in keep if j not in moved], span)
     done = solve_spacetime(motion, skeleton, window, wanted, roles=roles, progress=progress)
     lines += [_missed(c.joint, float(e.max())) for c, e in zip(wanted, done.error, strict=True) if isinstance(c, Place)]

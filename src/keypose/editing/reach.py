@@ -23,6 +23,9 @@ REACHED_M = 1e-4
 """So near a joint has to be for its constraint to count as met."""
 
 
+KEPT = ("left_foot", "right_foot")
+"""What stays where it is, of the ends of limbs that there are, while the whole body helps."""
+
 _EXACT = SolveOptions(tolerance_m=1e-7)
 # What a radian of the whole body counts, in metres, and a metre of the root: so much that hips stay over the feet.
 _PRIOR_M, _PRIOR_ROOT = 0.03, 0.3
@@ -133,7 +136,7 @@ def reach(
     ease_s: float = 0.4,
     softness: float = 0.0,
     whole_body: bool = False,
-    keep: Sequence[str] = ("left_foot", "right_foot"),
+    keep: Sequence[str] = KEPT,
     progress: Progress | None = None,
 ) -> ReachResult:
     """A motion in which joints are where they should be, with a smooth displacement that begins and ends ``ease_s`` around.
@@ -382,7 +385,8 @@ def _with_body(
         targets[at], weights[at] = goal.targets[frames[at] - goal.reach.first], 1.0
         tasks.append(PositionTask(name[goal.joint], targets, weights))
     moved = {g.limb.end for g in goals if g.limb is not None}
-    kept = [j for j in (roles.get(role, -1) for role in keep) if j >= 0 and j not in moved]
+    there = [name for name in keep if name not in KEPT or name in roles]  # not every skeleton has feet
+    kept = [j for j in (joint_of(skeleton, name, roles) for name in there) if j not in moved]
     for joint in kept:
         tasks += [PositionTask(name[joint], places[:, joint]), OrientationTask(name[joint], turned[:, joint], 0.1)]
     solved = _solved(skeleton, pose, tasks, [*(g.joint for g in goals), *kept])
