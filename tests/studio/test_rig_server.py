@@ -17,7 +17,15 @@ from test_server import request, with_token
 from keypose import evaluate, samples
 from keypose.model import Pose
 from keypose.project.file import from_bytes
-from keypose.rig import bake_rig_timeline, evaluate_rig, is_keyed, match_ik_to_fk, solve_rig, switch_space
+from keypose.rig import (
+    bake_rig_timeline,
+    evaluate_rig,
+    is_keyed,
+    match_ik_to_fk,
+    mirror_controls,
+    solve_rig,
+    switch_space,
+)
 from keypose.studio import StudioServer
 from keypose.studio.container import Body, pack, unpack
 from keypose.studio.rig_messages import RigPoseRequest
@@ -132,6 +140,10 @@ def test_poses_are_the_librarys(server: StudioServer) -> None:
         matched, after = match_ik_to_fk(rig, who.skeleton, pose, named, base)
         got = posed(server, rig.name, controls, joints, values, wish="match_ik_to_fk")
         np.testing.assert_allclose(got["controls"], numbers(matched), atol=1e-12)
+        np.testing.assert_allclose(got["values"], np.stack([after[a.name] for a in rig.attributes], -1), atol=1e-12)
+        other, after = mirror_controls(rig, pose, named)
+        got = posed(server, rig.name, controls, joints, values, wish="mirror")
+        np.testing.assert_allclose(got["controls"], numbers(other), atol=1e-12)
         np.testing.assert_allclose(got["values"], np.stack([after[a.name] for a in rig.attributes], -1), atol=1e-12)
         look = next(c for c in rig.looks if len(c.spaces) > 1)
         moved, _ = switch_space(rig, who.skeleton, look.name, look.spaces[1].name, pose, named, base)

@@ -233,7 +233,7 @@ export interface RigPoseRequest {
   controls: ArrayRef;
   joints: ArrayRef;
   values: ArrayRef;
-  wish: "none" | "match_ik_to_fk" | "match_fk_to_ik" | "switch_space";
+  wish: "none" | "match_ik_to_fk" | "match_fk_to_ik" | "switch_space" | "mirror";
   modules: string[];
   control: string;
   space: number;

@@ -117,7 +117,7 @@ class RigPoseRequest:
 
     ``controls`` (B, N, 10) and ``joints`` (B, J, 10) are local transforms, ``values`` (B, A) the attributes in the rig's order, all float64.
     ``wish`` changes the controls before: the IK side is put where FK is or the other way round in ``modules`` (all where
-    empty), or ``control`` goes to its space number ``space`` and stays where it is.
+    empty), or ``control`` goes to its space number ``space`` and stays where it is, or left and right change places.
     """
 
     type: Literal["rig_pose"]
@@ -125,7 +125,7 @@ class RigPoseRequest:
     controls: ArrayRef
     joints: ArrayRef
     values: ArrayRef
-    wish: Literal["none", "match_ik_to_fk", "match_fk_to_ik", "switch_space"]
+    wish: Literal["none", "match_ik_to_fk", "match_fk_to_ik", "switch_space", "mirror"]
     modules: list[str]
     control: str
     space: int

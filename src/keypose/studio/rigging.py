@@ -42,6 +42,7 @@ from keypose.rig import (
     is_keyed,
     match_fk_to_ik,
     match_ik_to_fk,
+    mirror_controls,
     sample_rig,
     solve_rig,
     switch_space,
@@ -187,6 +188,8 @@ class Rigging:
                 controls, values = switch_space(
                     rig, skeleton, look.name, look.spaces[number].name, controls, values, base
                 )
+            case "mirror":
+                controls, values = mirror_controls(rig, controls, values)
             case _:
                 header.fail(f"no wish '{wish[:40]}'")
         solved = solve_rig(rig, skeleton, controls, values, base)

@@ -211,6 +211,11 @@ class Rigging {
     return this.change("Remove rig", { type: "rig_remove", rig, bake: true });
   }
 
+  /** Left and right change places, in the pose of the controls. */
+  mirror(): Promise<void> {
+    return this.wish("Mirror pose", { ...NO_WISH, wish: "mirror" });
+  }
+
   /**
    * Let the server change controls and numbers at the current time (match FK and IK, another space), and pose what has
    * changed; `more` are values that are set with it.

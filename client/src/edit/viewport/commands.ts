@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { studio } from "../../studio.svelte";
 import type { Command } from "../commands";
 import type { Editor, Property } from "../contract";
+import { rigging } from "../rig/rigging.svelte";
 import type { Mode } from "./manipulate";
 import { Blend, clipboard, copyPose, mirrored, pastePose, takePose } from "./poses";
 import type { StageEditor } from "./stage-editor";
@@ -153,6 +154,7 @@ function dropPosed(editor: Editor, stage: StageEditor): void {
 }
 
 function flip(editor: Editor): void {
+  if (rigging.active) return void rigging.mirror();
   const actor = editor.actor!;
   actor.evaluate(editor.time);
   new Blend(editor, actor, { ...mirrored(actor, takePose(actor, "", null)), name: "mirrored" }, null).set(1, true);

@@ -2,14 +2,21 @@
 
 import type { Actor } from "../../view/actor";
 import { channelOf, type Editor, type StoredPose } from "../contract";
+import { rigging } from "../rig/rigging.svelte";
 import { mirrorOf, type StoredJoint } from "./mirror";
 import { between, type Quat } from "./spaces";
+
+/** What a pose of the whole character holds: with a rig, its controls, and the joints that they leave alone. */
+function ownJoints({ rig }: Actor): number[] {
+  const moved = new Set(rig.count > rig.jointCount ? rigging.active?.modules.flatMap((m) => m.joints) : []);
+  return [...rig.names.keys()].filter((joint) => joint >= rig.jointCount || !moved.has(rig.names[joint]));
+}
 
 /** What the joints show now; of a pose of the whole character also the morphs. */
 export function takePose(actor: Actor, name: string, joints: readonly number[] | null): StoredPose {
   const { rig, morphNames } = actor, { pose } = rig;
   const out: Record<string, StoredJoint> = {};
-  for (const joint of joints ?? rig.names.keys())
+  for (const joint of joints ?? ownJoints(actor))
     out[rig.names[joint]] = {
       translation: [...pose.translations.subarray(3 * joint, 3 * joint + 3)],
       rotation: [...pose.rotations.subarray(4 * joint, 4 * joint + 4)],
@@ -65,7 +72,7 @@ export class Blend {
     private readonly only: ReadonlySet<number> | null,
   ) {
     actor.evaluate(editor.time);
-    this.from = takePose(actor, "", null);
+    this.from = { ...takePose(actor, "", null), joints: takePose(actor, "", [...actor.rig.names.keys()]).joints };
     this.before = editor.posed;
   }
 
