@@ -75,7 +75,7 @@ def test_a_capture_is_edited_and_filmed(data_dir: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
     out = tmp_path / "out.glb"
     assert "nearest: 'left_hand'" in refused(keypose("edit", "sample:walk", out, "--reach", "left_hnd@60=0,0,0"))
-    assert "no motion" in refused(keypose("edit", "sample:ball", out))
+    assert "no motion" in refused(keypose("edit", "sample:ball", out, "--loop"))
     for edits, says in (
         (Edits(reaches=["left_hand@60=0,0"]), "expected 3 numbers"),
         (Edits(reaches=["left_hand=0,0,0"]), "expected JOINT@FRAME"),
@@ -86,6 +86,10 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
         (Edits(speed="fast"), "a factor such as 1.5"),
         (Edits(speed="0"), "positive"),
         (Edits(follow="0,0"), "2 finite ones or more"),
+        (Edits(bend_deg=float("nan")), "expected degrees, got nan"),
+        (Edits(), "no edit"),
+        (Edits(loop=True, keep=["left_hand"]), "--keep"),
+        (Edits(loop=True, spacetime=True), "--spacetime"),
     ):
         with pytest.raises(KeyposeError, match=says):
             edit_file("sample:walk", out, edits, quiet=True)
