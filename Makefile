@@ -35,6 +35,7 @@ format: $(VENV)/.tools ## format the code
 	$(BIN)/ruff format
 
 bench: $(VENV)/.tools ## ratios against other libraries and the machine's limits
+	@$(BIN)/python -m pip install -q --group bench
 	@$(BIN)/keypose bench $(ARGS)
 
 system: ## as root on Debian: install Chromium and Mesa for the tests that need them
