@@ -39,7 +39,15 @@ def test_clean_writes_contacts_as_events(tmp_path: Path) -> None:
 
 def test_clean_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     assert "hill" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--ground", "hill"))
-    assert "" in refused(keypose("clean", "sample:ball", tmp_path / "a.glb"))
+    assert "no motion of a skeleton" in refused(keypose("clean", "sample:ball", tmp_path / "a.glb"))
+    binary = tmp_path / "map.json"
+    binary.write_bytes(b"\xae\xff")
+    assert "no text" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--roles", binary))
+    binary.write_text('{"left_foot": ["LeftFoot"]}')
+    assert "no joint" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--roles", binary))
+    nowhere = tmp_path / "nowhere" / "c.csv"
+    assert "nowhere" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--contacts", nowhere))
+    assert "--floor" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--floor", "inf"))
     assert ".csv" in refused(keypose("clean", "sample:walk", tmp_path / "a.glb", "--contacts", tmp_path / "c.txt"))
     assert not (tmp_path / "a.glb").exists()
 

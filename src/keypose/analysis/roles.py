@@ -130,7 +130,7 @@ def roles_from_json(text: str, skeleton: Skeleton) -> RoleMap:
     for role, name in named.items():
         if role not in ROLES and not _FURTHER.fullmatch(str(role)):
             raise UnknownName("role", str(role), ROLES)
-        if name not in joints:
+        if not isinstance(name, str) or name not in joints:
             raise UnknownName("joint", str(name), skeleton.names)
         found[role] = joints[name]
     return RoleMap(found, dict.fromkeys(found, 1.0))

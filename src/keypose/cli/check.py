@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from keypose.cli.console import console
-from keypose.cli.inputs import open_input
+from keypose.cli.inputs import baked, open_input
 from keypose.errors import FormatError
 from keypose.model import Motion, Pose, Scene, Skeleton
 
@@ -100,10 +100,13 @@ def print_quality(
     """
     from keypose.analysis import find_roles, measure_quality
     from keypose.analysis.quality_demands import read_demands, unmet
+    from keypose.io.atomic import check_place
 
     demands = [d for text in asked.fail_on for d in read_demands(text)]
     if asked.plot is not None and asked.plot.suffix.lower() != ".png":
         raise FormatError("expected a .png for the picture", path=asked.plot)
+    if asked.plot is not None:
+        check_place(asked.plot)
     scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
     body, motions = _motions(scene, reference, clip)
     other = None if asked.against is None else open_input(asked.against, unit=unit, up=up)
@@ -206,17 +209,11 @@ def _draw(
 
 def _motions(scene: Scene, reference: str, clip: str | None) -> tuple[Skeleton, list[Motion]]:
     """The skeleton and its animations as motions; only the named one if a name is given."""
-    from keypose.evaluate import bake, key_rate
-
     if not scene.characters or not scene.animations:
         raise FormatError("it has no motion of a skeleton", path=reference)
     body = scene.character.skeleton
     chosen = scene.animations if clip is None else (scene.animation(clip),)
-    motions = [
-        a if isinstance(a, Motion) else bake(a, body, a.rate_hz or key_rate(a) or 30.0)
-        for a in chosen
-        if a.duration_s > 0
-    ]
+    motions = [a if isinstance(a, Motion) else baked(a, body) for a in chosen if a.duration_s > 0]
     if not motions:
         raise FormatError("its motions have one frame only", path=reference)
     return body, motions

@@ -7,13 +7,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from keypose.cli.console import console, progress_bar
-from keypose.cli.convert import not_an_input
-from keypose.cli.inputs import open_input
+from keypose.cli.console import console
+from keypose.cli.inputs import file_word, motion_of, open_input, read_roles
+from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError, KeyposeError, ShapeError
 from keypose.model import Character, Motion, Scene
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from keypose.analysis.quality import Quality
     from keypose.editing.planting import HipsMode, PlantResult
 
-FILMS = (".png", ".gif", ".mp4", ".webm")
 SCHEMA = "keypose.contacts/1"
 
 
@@ -57,21 +56,20 @@ def clean_file(
         KeyposeError: where the skeleton has no legs.
         ShapeError: where the ground is neither a kind nor a height.
     """
-    from keypose import io
     from keypose.analysis.contacts import contact_events
     from keypose.analysis.quality import measure_quality
     from keypose.editing.planting import PlantOptions, plant_feet, put_on_floor
-    from keypose.io.registry import format_of_suffix, unknown_format
+    from keypose.io.atomic import check_place
 
-    film = output.suffix.lower() in FILMS
-    chosen = format_of_suffix(output)
-    if not film and (chosen is None or not chosen.write):  # told before anything is read
-        raise unknown_format(output, writing=True)
-    if contacts is not None and contacts.suffix.lower() not in (".json", ".csv"):
-        raise FormatError("expected a .json or a .csv for contacts", path=contacts)
-    not_an_input(output, [source])
+    check_output(output, [source])
+    if contacts is not None:
+        if contacts.suffix.lower() not in (".json", ".csv"):
+            raise FormatError("expected a .json or a .csv for contacts", path=contacts)
+        check_place(contacts)
+    if floor_m is not None and not np.isfinite(floor_m):
+        raise ShapeError(f"--floor: expected a height in metres, got {floor_m}")
     scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
-    motion = _motion(scene, source, clip, rate_hz)
+    motion = motion_of(scene, source, clip, rate_hz)
     character = scene.character
     body = character.skeleton
     known = _roles(roles, character)
@@ -87,13 +85,7 @@ def clean_file(
         made = replace(made, events=tuple(sorted((*made.events, *added), key=lambda e: e.time_s)))
     made = replace(made, name=motion.name or Path(source).stem)
     cleaned = Scene((character,), (made,), unit_m=scene.unit_m)
-    if film:
-        from keypose.render import RenderSettings, render_file
-
-        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
-            notes = render_file(cleaned, output, settings=RenderSettings(), progress=progress)
-    else:
-        notes = io.save(cleaned, output)
+    notes = write_scene(cleaned, output, quiet=quiet)
     if contacts is not None:
         write_contacts(contacts, source, made, done.footing)
     if quiet:
@@ -102,7 +94,7 @@ def clean_file(
         measure_quality(m, body, known, touching=done.touching, ground=done.footing.ground)
         for m in (motion, done.motion)
     )
-    _print(output, made, done, before, after, tuple(notes or ()))
+    _print(output, made, done, before, after, notes)
 
 
 def write_contacts(path: Path, source: str, motion: Motion, footing: Footing) -> None:
@@ -132,27 +124,11 @@ def write_contacts(path: Path, source: str, motion: Motion, footing: Footing) ->
                 table.writerow([*(f"{v:.6f}" if isinstance(v, float) else v for v in row.values()), *place])
 
 
-def _motion(scene: Scene, source: str, clip: str | None, rate_hz: float | None) -> Motion:
-    from keypose.evaluate import bake, key_rate, match, resample
-
-    if not scene.characters or not scene.animations:
-        raise FormatError("it has no motion of a skeleton", path=source)
-    animation = scene.animations[0] if clip is None else scene.animation(clip)
-    body = scene.character.skeleton
-    if not isinstance(animation, Motion):
-        return bake(animation, body, rate_hz or animation.rate_hz or key_rate(animation) or 30.0)
-    motion = match(animation, body)
-    return motion if rate_hz is None else resample(motion, rate_hz)
-
-
 def _roles(path: Path | None, character: Character) -> Mapping[str, int]:
-    from keypose.analysis import find_roles, roles_from_json
+    from keypose.analysis import find_roles
 
     if path is not None:
-        try:
-            return roles_from_json(path.read_text(encoding="utf-8"), character.skeleton).roles
-        except OSError as error:
-            raise FormatError(error.strerror or str(error), path=path) from None
+        return read_roles(path, character.skeleton).roles
     found = find_roles(character.skeleton, known=character.roles or None)
     if found.on_all_fours:
         raise KeyposeError("feet cannot be planted: it stands on four feet; give its hind legs as a map of roles")
@@ -188,18 +164,13 @@ def _sole_m(character: Character, roles: Mapping[str, int]) -> float:
 
 
 def _print(
-    output: Path, motion: Motion, done: PlantResult, before: Quality, after: Quality, notes: Sequence[Any]
+    output: Path, motion: Motion, done: PlantResult, before: Quality, after: Quality, notes: Sequence[str]
 ) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    print_written(output, f"{file_word(motion.frame_count, 'frame')} at {motion.rate_hz:g} Hz", notes)
     out = console()
-    out.print(
-        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
-        f"{motion.frame_count:,} frames at {motion.rate_hz:g} Hz)[/dim]"
-    )
-    for note in notes:
-        out.print(f"  [yellow]note[/yellow] {escape(str(note))}")
     if not done.moved_m.any():
         out.print("  feet stand still already: nothing was changed")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="dim")
@@ -212,13 +183,13 @@ def _print(
     ):
         cells = [getattr(q, name) for q in (before, after)]
         table.add_row(title, *("-" if v is None else f"{v:.2f} {unit}" for v in cells))
-    table.add_row("knees accelerate, at most", "1", f"{done.knee_ratio:.2f} times")
+    table.add_row("knees accelerate, at most", "1.00 times", f"{done.knee_ratio:.2f} times")
     out.print(table)
     count = sum(
         len(np.flatnonzero(np.diff(np.concatenate([[False], f]).astype(np.int8)) == 1)) for f in done.touching.values()
     )
     out.print(
-        f"  {count} contacts of heels and balls; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
+        f"  {file_word(count, 'contact')} of heels and balls; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
         f"hips {100 * done.hips_m.max(initial=0.0):.1f} cm"
     )
     out.print(f"  ground: {escape(done.footing.ground.describe())}")

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from keypose.cli.console import console
 from keypose.cli.inputs import open_chosen, unit_option
 from keypose.cli.options import choose, parameters
+from keypose.cli.output import not_an_input, print_written
 from keypose.errors import FormatError
 from keypose.model import Clip, Motion, Scene
 
@@ -93,25 +93,8 @@ def convert_files(
         raise ConversionError(f"written, but not all that was read within {asked}: {worst}", path=output)
     if quiet:
         return
-    from rich.markup import escape
-
-    out = console()
-    out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
-    for note in (*scene.notes, *change_notes, *write_notes):
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in [*_unsaid(scene, output, written_unit), *error.lines()]:
-        out.print(f"  {escape(line)}")
-
-
-def not_an_input(output: Path, inputs: list[str]) -> None:
-    """A file that is read is never written over: what the output's format cannot hold would be lost.
-
-    Raises:
-        FormatError: where the output is one of the inputs.
-    """
-    for name in inputs:
-        if not name.startswith("sample:") and output.exists() and Path(name).exists() and output.samefile(name):
-            raise FormatError("is one of the inputs, which would be lost; name another file to write", path=output)
+    notes = (*scene.notes, *change_notes, *write_notes)
+    print_written(output, notes=notes, lines=[*_unsaid(scene, output, written_unit), *error.lines()])
 
 
 def changed(scene: Scene, changes: Changes) -> tuple[Scene, list[str]]:

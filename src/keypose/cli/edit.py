@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from keypose.cli.console import Progress, console, progress_bar
-from keypose.cli.convert import not_an_input
-from keypose.cli.inputs import open_input
-from keypose.errors import FormatError, ShapeError
-from keypose.model import Clip, Motion, Scene, Skeleton
+from keypose.cli.console import Progress, progress_bar
+from keypose.cli.inputs import file_word, motion_of, open_input
+from keypose.cli.output import check_output, print_written, write_scene
+from keypose.errors import ShapeError
+from keypose.model import Motion, Scene, Skeleton
 
 if TYPE_CHECKING:
     from keypose.editing.reach import Reach
 
 FEET = ("left_foot", "right_foot")
-FILMS = (".png", ".gif", ".mp4", ".webm")
 _REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
 _TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
 _SPEED = re.compile(r"^(?P<number>[0-9.eE+-]+)(?P<unit>|x|m/s)$")
@@ -62,48 +61,31 @@ def edit_file(
         FormatError: where the output's format cannot be written, or the input has no motion.
         ShapeError, UnknownName: where an edit cannot be read or done.
     """
-    from keypose import evaluate, io
-    from keypose.io.registry import format_of_suffix, unknown_format
-
+    check_output(output, [source])
+    _check_asked(edits)
     reaches = [_reach(text) for text in edits.reaches]
-    film = output.suffix.lower() in FILMS
-    chosen = format_of_suffix(output)
-    if not film and (chosen is None or not chosen.write):  # told before anything is read
-        raise unknown_format(output, writing=True)
-    not_an_input(output, [source])
     scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
-    if not scene.characters or not scene.animations:
-        raise FormatError("it has no motion of a skeleton", path=source)
-    body = scene.character.skeleton
-    animation = scene.animations[0] if clip is None else scene.animation(clip)
-    if isinstance(animation, Clip):
-        motion = evaluate.bake(animation, body, rate_hz or animation.rate_hz or 30.0)
-    else:
-        motion = evaluate.match(animation, body)
-        motion = motion if rate_hz is None else evaluate.resample(motion, rate_hz)
+    motion = motion_of(scene, source, clip, rate_hz)
     with progress_bar("editing", quiet=quiet) as progress:
-        edited, lines = _edited(motion, body, edits, reaches, progress)
-    made = Scene((scene.character,), (replace(edited, name=animation.name or Path(source).stem),), unit_m=scene.unit_m)
-    if film:
-        from keypose.render import RenderSettings, render_file
+        edited, lines = _edited(motion, scene.character.skeleton, edits, reaches, progress)
+    edited = replace(edited, name=motion.name or Path(source).stem)
+    made = Scene((scene.character,), (edited,), unit_m=scene.unit_m)
+    notes = write_scene(made, output, quiet=quiet)
+    if not quiet:
+        print_written(output, f"{file_word(edited.frame_count, 'frame')} at {edited.rate_hz:g} Hz", notes, lines)
 
-        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
-            notes = render_file(made, output, settings=RenderSettings(), progress=progress)
-    else:
-        notes = io.save(made, output)
-    if quiet:
-        return
-    from rich.markup import escape
 
-    out = console()
-    out.print(
-        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
-        f"{edited.frame_count:,} frames at {edited.rate_hz:g} Hz)[/dim]"
-    )
-    for note in notes or ():
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in lines:
-        out.print(f"  {escape(line)}")
+def _check_asked(edits: Edits) -> None:
+    """Refuse, before anything is read, what asks for nothing or for what cannot be."""
+    values = (edits.bend_deg, edits.follow, edits.stride, edits.speed)
+    if not (edits.reaches or edits.turns or edits.loop or any(value is not None for value in values)):
+        raise ShapeError("no edit: expected --reach, --turn, --bend, --loop, --follow, --stride or --speed")
+    if (edits.spacetime or edits.whole_body) and not edits.reaches:
+        raise ShapeError("--whole-body, --spacetime: expected a --reach to go with them")
+    if edits.keep and not (edits.turns or edits.spacetime or edits.whole_body):
+        raise ShapeError("--keep: expected --turn, --whole-body or --spacetime to go with it")
+    if edits.bend_deg is not None and not np.isfinite(edits.bend_deg):
+        raise ShapeError(f"--bend: expected degrees, got {edits.bend_deg}")
 
 
 def _edited(
@@ -156,6 +138,8 @@ def _on_path(motion: Motion, skeleton: Skeleton, edits: Edits, lines: list[str])
         if found is None:
             raise ShapeError(f"--speed: expected a factor such as 1.5, or a speed such as 1.2m/s, got '{edits.speed}'")
         value = _numbers(found["number"], 1, "--speed")[0]
+        if value <= 0:
+            raise ShapeError(f"--speed: expected a positive factor or speed, got '{edits.speed}'")
         own = paths.extract_path(motion, skeleton, roles=roles)
         factors = paths.speeds_for(own, value) if found["unit"] == "m/s" else value
         motion = paths.retime(motion, skeleton, factors, roles=roles)

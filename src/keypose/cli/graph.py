@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from keypose.cli.console import console, progress_bar
+from keypose.cli.console import console
+from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError
 
 
@@ -12,15 +13,10 @@ def bake_graph(
     reference: str, output: Path, *, inputs: Path | None, duration_s: float, rate_hz: float, quiet: bool
 ) -> None:
     """Run a graph from its first state and write its motion on its character."""
-    from keypose import io
-    from keypose.io.registry import format_of_suffix, unknown_format
     from keypose.play import graph as g
     from keypose.samples import PREFIX, graphs, open_scene
 
-    film = output.suffix.lower() in (".png", ".gif", ".mp4", ".webm")
-    chosen = format_of_suffix(output)
-    if not film and (chosen is None or not chosen.write):
-        raise unknown_format(output, writing=True)
+    check_output(output)
     definition = graphs.load(reference.removeprefix(PREFIX)) if reference.startswith(PREFIX) else g.load(reference)
     given: tuple[g.Inputs, ...] = ()
     if inputs is not None:
@@ -29,13 +25,7 @@ def bake_graph(
         except FormatError as error:
             raise error.at(inputs) from None
     run = g.run(definition, given, duration_s=duration_s, rate_hz=rate_hz, open_scene=open_scene)
-    if film:
-        from keypose.render import RenderSettings, render_file
-
-        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
-            notes = render_file(run.scene(), output, settings=RenderSettings(), progress=progress)
-    else:
-        notes = io.save(run.scene(), output)
+    notes = write_scene(run.scene(), output, quiet=quiet)
     if quiet:
         return
     from rich.markup import escape
@@ -45,6 +35,4 @@ def bake_graph(
     lines += [(t, f"event {e.name} of {e.clip}") for t, e in run.events]
     for time_s, line in sorted(lines):
         out.print(f"  [dim]{time_s:7.3f} s[/dim]  {escape(line)}")
-    out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
-    for note in notes or ():
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+    print_written(output, notes=notes)

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from keypose.cli.options import Chosen, choose, parameters, reader_of, with_option
-from keypose.errors import ShapeError
-from keypose.model import Scene
+from keypose.errors import FormatError, ShapeError
+from keypose.model import Clip, Motion, Scene, Skeleton
+
+if TYPE_CHECKING:
+    from keypose.analysis import RoleMap
+
+_FILM_HZ = 30.0  # of clips that name no rate and whose keys are at none
 
 
 def open_input(
@@ -66,6 +72,46 @@ def open_chosen(
         if len(skeletons) == 1 and reference not in skeletons and "skeleton" in parameters(reader_of(reference)):
             own.setdefault("skeleton", skeletons[0])
     return [open_scene(reference, **own) for reference, own in zip(references, given, strict=True)]
+
+
+def motion_of(scene: Scene, reference: str, clip: str | None = None, rate_hz: float | None = None) -> Motion:
+    """The first animation of the first character, or the one of that name, as a motion of its skeleton.
+
+    Raises:
+        FormatError: where there is none.
+        UnknownName: for a clip that does not exist.
+    """
+    from keypose.evaluate import match, resample
+
+    if not scene.characters or not scene.animations:
+        raise FormatError("it has no motion of a skeleton", path=reference)
+    animation = scene.animations[0] if clip is None else scene.animation(clip)
+    body = scene.character.skeleton
+    if isinstance(animation, Clip):
+        return baked(animation, body, rate_hz)
+    motion = match(animation, body)
+    return motion if rate_hz is None else resample(motion, rate_hz)
+
+
+def baked(clip: Clip, skeleton: Skeleton, rate_hz: float | None = None) -> Motion:
+    """A clip in frames: at the rate that is asked for, else its own, else that of its keys."""
+    from keypose.evaluate import bake, key_rate
+
+    return bake(clip, skeleton, rate_hz or clip.rate_hz or key_rate(clip) or _FILM_HZ)
+
+
+def read_roles(path: Path, skeleton: Skeleton) -> RoleMap:
+    """A map of roles, as `keypose roles` writes it.
+
+    Raises:
+        FormatError: where the file cannot be read, or holds no map of this skeleton.
+    """
+    from keypose.analysis import roles_from_json
+
+    try:
+        return roles_from_json(path.read_text(encoding="utf-8"), skeleton)
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(getattr(error, "strerror", None) or "it is no text", path=path) from None
 
 
 def file_word(count: int, word: str, plural: str | None = None) -> str:

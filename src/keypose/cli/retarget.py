@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from keypose.cli.console import console, progress_bar
-from keypose.cli.convert import not_an_input
-from keypose.cli.inputs import open_input
+from keypose.cli.console import console
+from keypose.cli.inputs import baked, file_word, open_input, read_roles
+from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError, ShapeError
 from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
 
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
     from keypose.retarget import Prop, RetargetResult
-
-FILMS = (".png", ".gif", ".mp4", ".webm")
 
 
 def retarget_file(
@@ -53,25 +51,22 @@ def retarget_file(
         FormatError: where the output's format cannot be written, or an input has no motion or no skeleton.
         ShapeError: where a frame is outside its motion, or a place is none.
     """
-    from keypose import io
     from keypose.editing.planting import PlantOptions
-    from keypose.io.registry import format_of_suffix, unknown_format
     from keypose.retarget import HandOptions, ground_under, retarget
 
-    film = output.suffix.lower() in FILMS
-    chosen = format_of_suffix(output)
-    if not film and (chosen is None or not chosen.write):  # told before anything is read
-        raise unknown_format(output, writing=True)
-    not_an_input(output, [motion, character, *([] if against is None else [against])])
+    check_output(output, [motion, character, against])
     held = HandOptions(props=[parse_prop(text) for text in props]) if hands or props else None
     performed = open_input(motion, unit=unit, up=up, skeleton=skeleton, options=options)
     cast = open_input(character)
+    theirs = None if against is None else open_input(against)
     for scene, name in ((performed, motion), (cast, character)):
         if not scene.characters:
             raise FormatError("it has no skeleton", path=name)
     if not performed.animations:
         raise FormatError("it has no motion", path=motion)
     animation = performed.animations[0] if clip is None else performed.animation(clip)
+    if theirs is not None and not (theirs.characters and theirs.animations):
+        raise FormatError("it has no skeleton with a motion", path=against)
     source, target = performed.character, cast.character
     own = next((a for a in cast.animations if isinstance(a, Motion) and a.joint_names == target.skeleton.names), None)
     target_map = _roles(target_roles, target.skeleton, target.roles)
@@ -92,27 +87,12 @@ def retarget_file(
         hands=held,
     )
     scene = Scene((target,), (replace(result.motion, name=animation.name or Path(motion).stem),), unit_m=cast.unit_m)
-    if film:
-        from keypose.render import RenderSettings, render_file
-
-        with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
-            notes = render_file(scene, output, settings=RenderSettings(), progress=progress)
-    else:
-        notes = io.save(scene, output)
+    notes = [*result.notes, *stand_note, *write_scene(scene, output, quiet=quiet)]
     if quiet:
         return
-    from rich.markup import escape
-
-    out = console()
-    out.print(
-        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
-        f"{result.motion.frame_count:,} frames at {result.motion.rate_hz:g} Hz)[/dim]"
-    )
-    for note in (*result.notes, *stand_note, *(notes or ())):
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    beside = [] if against is None else _compared(result, target.skeleton, against)
-    for line in (*result.report.lines(), *beside):
-        out.print(f"  {escape(line)}")
+    beside = [] if theirs is None else _compared(result, target.skeleton, theirs)
+    facts = f"{file_word(result.motion.frame_count, 'frame')} at {result.motion.rate_hz:g} Hz"
+    print_written(output, facts, notes, [*result.report.lines(), *beside])
 
 
 def parse_prop(text: str) -> Prop:
@@ -183,18 +163,15 @@ def _frame(animation: Motion | Clip, character: Character, frame: int, name: str
     raise ShapeError(f"reference frame of {name}: expected 0 to {count - 1}, got {frame}")
 
 
-def _compared(result: RetargetResult, skeleton: Skeleton, against: str) -> list[str]:
+def _compared(result: RetargetResult, skeleton: Skeleton, theirs: Scene) -> list[str]:
     """What the result is beside somebody else's."""
     from keypose.analysis import find_roles
-    from keypose.evaluate import bake, key_rate, match
+    from keypose.evaluate import match
     from keypose.retarget import compare_with_reference
 
-    theirs = open_input(against)
-    if not theirs.characters or not theirs.animations:
-        raise FormatError("it has no skeleton with a motion", path=against)
     body, animation = theirs.character, theirs.animations[0]
     if isinstance(animation, Clip):
-        animation = bake(animation, body.skeleton, animation.rate_hz or key_rate(animation) or 30.0)
+        animation = baked(animation, body.skeleton)
     found = find_roles(body.skeleton, known=body.roles or None)
     report = compare_with_reference(
         result.motion,
@@ -258,13 +235,10 @@ def _print_table(found: RoleMap, skeleton: Skeleton) -> None:
 
 
 def _roles(path: Path | None, skeleton: Skeleton, known: Any) -> RoleMap | None:
-    from keypose.analysis import find_roles, roles_from_json
+    from keypose.analysis import find_roles
 
     if path is not None:
-        try:
-            return roles_from_json(path.read_text(encoding="utf-8"), skeleton)
-        except OSError as error:
-            raise FormatError(error.strerror or str(error), path=path) from None
+        return read_roles(path, skeleton)
     if known:
         found = find_roles(skeleton, known=known)
         return found if not found.missing else None

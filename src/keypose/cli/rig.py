@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from keypose.cli.console import console
-from keypose.cli.convert import not_an_input
-from keypose.cli.inputs import file_word, open_input
+from keypose.cli.inputs import baked, file_word, open_input, read_roles
+from keypose.cli.output import check_output, print_written
 from keypose.errors import FormatError
 from keypose.model import Character, Clip, Document, Rig, Scene, module_joints
 
 if TYPE_CHECKING:
     from keypose.rig import RigFit
-
-_FILM_HZ = 25.0
 
 
 def rig_file(
@@ -43,13 +41,13 @@ def rig_file(
     if output is not None:
         if output.suffix.lower() != ".keypose":
             raise FormatError("expected a name that ends with .keypose: only a project keeps a rig", path=output)
-        not_an_input(output, [r for r in (character, motion) if r is not None])
+        check_output(output, [character, motion])
     cast = open_input(character, unit=unit, up=up)
     if not cast.characters:
         raise FormatError("it has no skeleton", path=character)
     who = cast.character
     who = replace(who, name=who.name or Path(character.removeprefix("sample:")).stem)
-    rig = auto_rig(who.skeleton, _saved_roles(roles, who), character=who)
+    rig = auto_rig(who.skeleton, None if roles is None else read_roles(roles, who.skeleton), character=who)
     if as_json:
         _print_json(rig)
     if output is None:
@@ -62,17 +60,6 @@ def rig_file(
     _save(rig, who, cast, fit, output)
     if not (quiet or as_json):
         _report(rig, fit, notes, output)
-
-
-def _saved_roles(path: Path | None, who: Character) -> Any:
-    from keypose.analysis import roles_from_json
-
-    if path is None:
-        return None
-    try:
-        return roles_from_json(path.read_text(encoding="utf-8"), who.skeleton)
-    except OSError as error:
-        raise FormatError(error.strerror or str(error), path=path) from None
 
 
 def _fitted(
@@ -94,13 +81,12 @@ def _fitted(
 
         done = retarget(animation, performed.character.skeleton, who.skeleton, rate_hz=rate_hz)
         notes = ("its joints have other names; it was retargeted", *done.notes)
-        baked = replace(done.motion, name=animation.name)
+        frames = replace(done.motion, name=animation.name)
     elif isinstance(animation, Clip):
-        rate = rate_hz or evaluate.key_rate(animation) or animation.rate_hz or _FILM_HZ
-        baked = evaluate.bake(animation, who.skeleton, rate)
+        frames = baked(animation, who.skeleton, rate_hz)
     else:
-        baked = animation if rate_hz is None else evaluate.resample(animation, rate_hz)
-    return fit_controls(rig, who.skeleton, replace(baked, name=baked.name or Path(motion).stem)), notes
+        frames = animation if rate_hz is None else evaluate.resample(animation, rate_hz)
+    return fit_controls(rig, who.skeleton, replace(frames, name=frames.name or Path(motion).stem)), notes
 
 
 def _save(rig: Rig, who: Character, cast: Scene, fit: RigFit | None, output: Path) -> None:
@@ -130,21 +116,15 @@ def _save(rig: Rig, who: Character, cast: Scene, fit: RigFit | None, output: Pat
 
 
 def _report(rig: Rig, fit: RigFit | None, notes: tuple[str, ...], output: Path) -> None:
-    from rich.markup import escape
-
-    out = console()
-    out.print(
-        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
-        f"{file_word(rig.controls.joint_count, 'control')}, {file_word(len(rig.attributes), 'attribute')})[/dim]"
-    )
-    for note in notes:
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+    lines: list[str] = []
     if fit is not None:
         frames = len(fit.control_pose.rotations)
-        out.print(
-            f"  {file_word(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
+        lines.append(
+            f"{file_word(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
             f"{fit.error_deg:.2g} degrees; all FK {1e3 * fit.fk_error_m:.3g} mm, all IK {1e3 * fit.ik_error_m:.3g} mm"
         )
+    facts = f"{file_word(rig.controls.joint_count, 'control')}, {file_word(len(rig.attributes), 'attribute')}"
+    print_written(output, facts, notes, lines)
 
 
 def _print_controls(rig: Rig) -> None:

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from keypose.cli.console import console, progress_bar
-from keypose.cli.convert import not_an_input
+from keypose.cli.console import progress_bar
 from keypose.cli.inputs import open_input
-from keypose.cli.retarget import FILMS
+from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError
 from keypose.model import Scene
 
@@ -37,16 +36,10 @@ def skin_file(
         FormatError: where the output's format cannot be written, or an input has no mesh or no skeleton.
         UnknownName: for a joint or a clip that does not exist.
     """
-    from keypose import io
     from keypose.deform import skin_character
-    from keypose.io.registry import format_of_suffix, unknown_format
     from keypose.model import SkinningMethod
 
-    film = output.suffix.lower() in FILMS
-    chosen = format_of_suffix(output)
-    if not film and (chosen is None or not chosen.write):  # told before anything is read
-        raise unknown_format(output, writing=True)
-    not_an_input(output, [mesh] if skeleton is None else [mesh, skeleton])
+    check_output(output, [mesh, skeleton])
     shape = open_input(mesh, unit=unit, up=up, options=options)
     bodies = [c for c in shape.characters if c.parts]
     if not bodies:
@@ -68,26 +61,9 @@ def skin_file(
         )
     animations = cast.animations if clip is None else (cast.animation(clip),)
     scene = Scene((replace(bound, roles=own.roles),), animations, unit_m=shape.unit_m)
-    if film:
-        from keypose.render import RenderSettings, render_file
-
-        with progress_bar(f"drawing {output.name}", quiet=quiet or as_json) as progress:
-            notes = render_file(scene, output, settings=RenderSettings(), progress=progress)
-    else:
-        notes = io.save(scene, output)
+    notes = [*report.notes, *write_scene(scene, output, quiet=quiet or as_json)]
     if as_json:
-        print(json.dumps({**asdict(report), "notes": [*report.notes, *(notes or ())]}, indent=1))
-        return
-    if quiet:
-        return
-    from rich.markup import escape
-
-    out = console()
-    out.print(
-        f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes, "
-        f"{bound.vertex_count:,} vertices, {own.skeleton.joint_count} joints)[/dim]"
-    )
-    for note in (*report.notes, *(notes or ())):
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
-    for line in report.lines():
-        out.print(f"  {escape(line)}")
+        print(json.dumps({**asdict(report), "notes": notes}, indent=1))
+    elif not quiet:
+        facts = f"{bound.vertex_count:,} vertices, {own.skeleton.joint_count} joints"
+        print_written(output, facts, notes, report.lines())

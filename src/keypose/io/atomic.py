@@ -12,6 +12,23 @@ from pathlib import Path
 from keypose.errors import FormatError
 
 
+def check_place(path: str | PathLike[str]) -> Path:
+    """Where a file of this name would be written, links followed.
+
+    Raises:
+        FormatError: where the folder does not exist, or the target is a folder or read-only.
+    """
+    named = Path(path)
+    target = Path(os.path.realpath(named))
+    if target.is_dir():
+        raise FormatError("is a folder; expected the name of a file to write", path=named)
+    if target.exists() and not target.stat().st_mode & 0o222:  # a rename would replace it all the same
+        raise FormatError("is read-only; name another file, or make it writable", path=named)
+    if not target.parent.is_dir():
+        raise FormatError(f"the folder '{named.parent}' does not exist", path=named)
+    return target
+
+
 @contextlib.contextmanager
 def replacing(path: str | PathLike[str]) -> Generator[Path]:
     """A path to write to; it takes the target's place when the block ends, and vanishes if the block fails.
@@ -23,14 +40,8 @@ def replacing(path: str | PathLike[str]) -> Generator[Path]:
     Raises:
         FormatError: where the folder does not exist, the target is a folder or read-only, or the place is not writable.
     """
+    target = check_place(path)
     named = Path(path)
-    target = Path(os.path.realpath(named))
-    if target.is_dir():
-        raise FormatError("is a folder; expected the name of a file to write", path=named)
-    if target.exists() and not target.stat().st_mode & 0o222:  # a rename would replace it all the same
-        raise FormatError("is read-only; name another file, or make it writable", path=named)
-    if not target.parent.is_dir():
-        raise FormatError(f"the folder '{named.parent}' does not exist", path=named)
     temporary = target.with_name(f".{target.stem[:64]}-{secrets.token_hex(4)}{target.suffix}")
     try:
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666
