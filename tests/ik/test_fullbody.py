@@ -130,7 +130,7 @@ def test_ten_thousand_unreachable_ones_settle_without_jitter(
     settled = found.converged
     assert (again.cost <= found.cost * (1.0 + 1e-12)).all()
     moved = np.abs(world_of(body, again.pose)[1] - world_of(body, found.pose)[1]).max(axis=(1, 2))
-    assert np.quantile(moved[settled], 0.9) < 1e-6, np.quantile(moved[settled], [0.5, 0.9, 0.99])
+    assert np.quantile(moved[settled], 0.99) < 1e-6, np.quantile(moved[settled], [0.5, 0.9, 0.99])
 
 
 def test_the_cost_falls_with_every_step(

@@ -29,6 +29,7 @@ SHRINK, GROWTH = 1.0 / 5.0, 2.0
 LEAST_FACTOR, MOST_FACTOR = 1e-8, 1e9  # of the cost
 SLOW = 0.5  # a step that leaves more than this share of the cost calls for curvature
 PASSES = 2
+SAME = 0.03  # radians between directions that are one
 ROUNDING = 1e-15
 
 
@@ -331,7 +332,7 @@ def _damped_step(
 def _stop_at_bounds(
     problem: Problem, rotations: Floats, turned: Floats, change: Floats, new: Floats, freedom: Floats, forced: Floats
 ) -> bool:
-    """Force joints that a step carried over their bounds to go just there; whether there are any."""
+    """Send joints that a step carried over their bounds just there, free along them; whether there are any."""
     found = False
     for one in problem.limited:
         joint, parent = one.joint, int(problem.parents[one.joint])
@@ -339,14 +340,17 @@ def _stop_at_bounds(
         went = 2.0 * turn[:, 1:] / np.maximum(turn[:, :1], 1e-6)
         if parent >= 0:
             went = quat.rotate(turned[:, parent], went)
-        over = (
-            np.linalg.norm(went - change[:, 3 * joint : 3 * joint + 3], axis=-1)
-            > 0.1 * np.linalg.norm(went, axis=-1) + 1e-6
-        )
-        if over.any():
-            found = True
-            freedom[over, joint] = 0.0
-            forced[over, 3 * joint : 3 * joint + 3] = went[over]
+        off = np.linalg.norm(went - change[:, 3 * joint : 3 * joint + 3], axis=-1)
+        over = np.flatnonzero(off > 0.1 * np.linalg.norm(went, axis=-1) + 1e-6)
+        if not len(over):
+            continue
+        found = True
+        directions, sides = bounds_met(one.limit, new[over, joint], one.home[over])
+        if parent >= 0:
+            directions = quat.rotate(turned[over, parent, None], directions)
+        freedom[over, joint] = _complement(freedom[over, joint], directions * (sides != FREE)[..., None])
+        away = went[over] - np.einsum("nij,nj->ni", freedom[over, joint], went[over])
+        forced[over, 3 * joint : 3 * joint + 3] = away
     return found
 
 
@@ -365,15 +369,19 @@ def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floa
             directions = quat.rotate(turned[:, parent, None], directions)
         pull = -np.einsum("nki,ni->nk", directions, gradient[:, 3 * one.joint : 3 * one.joint + 3])
         blocked = (sides == HELD) | ((sides != FREE) & (pull * sides > 0))
-        free[:, one.joint] = _complement(directions * blocked[..., None])
+        free[:, one.joint] = _complement(free[:, one.joint], directions * blocked[..., None])
     return free
 
 
-def _complement(normals: Floats) -> Floats:
-    """The projections (N, 3, 3) onto what is across all normals (N, k, 3); zero ones do not count."""
-    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", _unit(normals), _unit(normals)))
-    kept = vectors * (values[:, None, :] < 1e-9)
-    return kept @ np.swapaxes(vectors, 1, 2)
+def _complement(free: Floats, normals: Floats) -> Floats:
+    """The projections (N, 3, 3) less the directions of normals (N, k, 3); zero ones, and ones nearly out already, do not
+    count."""
+    for normal in np.moveaxis(_unit(normals), 1, 0):
+        across = np.einsum("nij,nj->ni", free, normal)
+        length = np.linalg.norm(across, axis=-1)[:, None]
+        across = np.where(length > SAME, across / np.maximum(length, 1e-300), 0.0)
+        free = free - across[:, :, None] * across[:, None, :]
+    return free
 
 
 def _unit(vectors: Floats) -> Floats:

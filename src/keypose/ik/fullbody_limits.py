@@ -88,7 +88,7 @@ def allowed_angles(limit: EulerRange, turn: Floats) -> Floats:
     for triple in (first, second):
         around = (triple - middles + np.pi) % (2.0 * np.pi) - np.pi
         over.append(np.maximum(np.abs(around) - 0.5 * (high - low), 0.0).sum(axis=1))
-    return np.where((over[1] < over[0])[:, None], second, first)
+    return np.where((over[1] < over[0] - 1e-9)[:, None], second, first)
 
 
 def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:

@@ -21,7 +21,6 @@ from keypose.kernels.fullbodytables import (
     INERTIA,
     J_LIMIT,
     JOINT_COLUMNS,
-    KEEP,
     MISS,
     O_FLOOR,
     O_GROWTH,
@@ -137,7 +136,7 @@ def _solve_block(
                 break
             hit = False
             for limit in range(limit_count):
-                hit = force_to_bound(joints, limits, limit, row, q, work, n, live) or hit
+                hit = force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, live, found) or hit
             if not hit:
                 break
             forced = True
@@ -199,11 +198,9 @@ def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
 
 @kernel
 def _force_none(count, row, work, n):
-    one, zero = fill(row, 1.0), fill(row, 0.0)
+    zero = fill(row, 0.0)
     for j in range(count):
-        w = work + j * SLOTS * n
-        store(row, w + KEEP * n, one)
-        store3(row, w + FORCED * n, n, zero, zero, zero)
+        store3(row, work + (j * SLOTS + FORCED) * n, n, zero, zero, zero)
 
 
 @kernel

@@ -17,7 +17,6 @@ from keypose.kernels.fullbodytables import (
     J_PARENT,
     J_PRIOR,
     JOINT_COLUMNS,
-    KEEP,
     L_HOME,
     L_I,
     L_J,
@@ -31,6 +30,7 @@ from keypose.kernels.fullbodytables import (
     PLACE,
     PRIOR_PULL,
     PULL,
+    SAME,
     SIDE,
     SLOTS,
     STEP,
@@ -137,7 +137,7 @@ def _angles_of(a, b, c, d, table, i, j, k):
         over += abs(_wrapped(held - middle))
         held, _ = _held(_wrapped(third), table[4], table[5])
         over += abs(_wrapped(held - third))
-        if over < least:
+        if over < least - 1e-9:
             least, best0, best1, best2 = over, first, middle, third
     return best0, best1, best2
 
@@ -159,7 +159,7 @@ def _hold_angles(a, b, c, d, table, i, j, k):
         p, q, r, s = _about(k, z)
         e, f, g, h = quat_multiply(e, f, g, h, p, q, r, s)
         cosine = abs(a * e + b * f + c * g + d * h)
-        if cosine > near + 1e-15:
+        if cosine > near + 1e-14:
             near, ra, rb, rc, rd, t0, t1, t2 = cosine, e, f, g, h, s0, s1, s2
     return ra, rb, rc, rd, t0, t1, t2
 
@@ -217,27 +217,15 @@ def hold_inside(limits, numbers, limit, row, q, data, work, near, n, active):
 @kernel
 def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
     """The directions that bounds block now: those at which the joint stands and which it is pulled against."""
-    at = limit * LIMIT_COLUMNS
-    kind, joint = limits[at + L_KIND], limits[at + L_JOINT]
+    joint = limits[limit * LIMIT_COLUMNS + L_JOINT]
     w = work + joint * SLOTS * n
-    home, q, side, out = data + limits[at + L_HOME] * n, q + 4 * joint * n, w + SIDE * n, w + NORMALS * n
-    p = joints[joint * JOINT_COLUMNS + J_PARENT]
-    table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
+    side, out = w + SIDE * n, w + NORMALS * n
     for k in range(n):
         for m in range(9):
             row[out + m * n + k] = 0.0
         if row[side + k] == 0.0 and row[side + n + k] == 0.0 and row[side + 2 * n + k] == 0.0:
             continue
-        a, b, c, d = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
-        e, f, g, h = row[home + k], row[home + n + k], row[home + 2 * n + k], row[home + 3 * n + k]
-        a, b, c, d = quat_multiply(e, -f, -g, -h, a, b, c, d)
-        found[:] = 0.0
-        if kind == HINGE:
-            _normals_of_hinge(table, found)
-        elif kind == CONE:
-            _normals_of_cone(a, b, c, d, table, found)
-        else:
-            _normals_of_angles(a, b, c, d, table, limits[at + L_I], limits[at + L_J], limits[at + L_K], found)
+        _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
         px, py, pz = row[w + PLACE * n + k], row[w + (PLACE + 1) * n + k], row[w + (PLACE + 2) * n + k]
         fx, fy, fz = row[w + PULL * n + k], row[w + (PULL + 1) * n + k], row[w + (PULL + 2) * n + k]
         gx, gy, gz = cross(px, py, pz, fx, fy, fz)
@@ -248,25 +236,54 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
             gz = gz + row[w + (PRIOR_PULL + 2) * n + k]
         for m in range(3):
             bound = row[side + m * n + k]
-            if bound == 0.0:
-                continue
-            x, y, z = quat_rotate(e, f, g, h, found[3 * m], found[3 * m + 1], found[3 * m + 2])
-            if p >= 0:
-                up = work + (p * SLOTS + TURN) * n + k
-                x, y, z = quat_rotate(row[up], row[up + n], row[up + 2 * n], row[up + 3 * n], x, y, z)
-            if bound != 2.0 and (x * gx + y * gy + z * gz) * bound >= 0.0:
-                continue
-            scale = 1.0 / max(np.sqrt(x * x + y * y + z * z), 1e-300)
-            x, y, z = scale * x, scale * y, scale * z
-            for before in range(m):  # what is across the others already blocked
-                place = out + 3 * before * n + k
-                u, v, t = row[place], row[place + n], row[place + 2 * n]
-                along = x * u + y * v + z * t
-                x, y, z = x - along * u, y - along * v, z - along * t
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > 3e-5:
-                place = out + 3 * m * n + k
-                row[place], row[place + n], row[place + 2 * n] = x / length, y / length, z / length
+            x, y, z = found[3 * m], found[3 * m + 1], found[3 * m + 2]
+            if bound == 2.0 or (x * gx + y * gy + z * gz) * bound < 0.0:
+                _block(row, out, n, k, x, y, z)
+
+
+@kernel
+def _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found):
+    """Of one solve: the directions of a joint's bounds where it is now, in the model's space."""
+    at = limit * LIMIT_COLUMNS
+    kind, joint = limits[at + L_KIND], limits[at + L_JOINT]
+    home, q = data + limits[at + L_HOME] * n, q + 4 * joint * n
+    p = joints[joint * JOINT_COLUMNS + J_PARENT]
+    table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
+    a, b, c, d = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
+    e, f, g, h = row[home + k], row[home + n + k], row[home + 2 * n + k], row[home + 3 * n + k]
+    a, b, c, d = quat_multiply(e, -f, -g, -h, a, b, c, d)
+    found[:] = 0.0
+    if kind == HINGE:
+        _normals_of_hinge(table, found)
+    elif kind == CONE:
+        _normals_of_cone(a, b, c, d, table, found)
+    else:
+        _normals_of_angles(a, b, c, d, table, limits[at + L_I], limits[at + L_J], limits[at + L_K], found)
+    for m in range(0, 9, 3):
+        x, y, z = quat_rotate(e, f, g, h, found[m], found[m + 1], found[m + 2])
+        if p >= 0:
+            up = work + (p * SLOTS + TURN) * n + k
+            x, y, z = quat_rotate(row[up], row[up + n], row[up + 2 * n], row[up + 3 * n], x, y, z)
+        found[m], found[m + 1], found[m + 2] = x, y, z
+
+
+@kernel
+def _block(row, out, n, k, x, y, z):
+    """Add a direction to those of one solve that are blocked, as far as it is across them."""
+    scale = 1.0 / max(np.sqrt(x * x + y * y + z * z), 1e-300)
+    x, y, z = scale * x, scale * y, scale * z
+    free = -1
+    for m in range(3):
+        place = out + 3 * m * n + k
+        u, v, t = row[place], row[place + n], row[place + 2 * n]
+        if u == 0.0 and v == 0.0 and t == 0.0:
+            free = m if free < 0 else free
+        along = x * u + y * v + z * t
+        x, y, z = x - along * u, y - along * v, z - along * t
+    length = np.sqrt(x * x + y * y + z * z)
+    if free >= 0 and length > SAME:
+        place = out + 3 * free * n + k
+        row[place], row[place + n], row[place + 2 * n] = x / length, y / length, z / length
 
 
 @kernel
@@ -329,17 +346,17 @@ def _normals_of_angles(a, b, c, d, table, i, j, k, found):
 
 
 @kernel
-def force_to_bound(joints, limits, limit, row, q, work, n, active):
-    """Force a joint that its step carried over a bound to go just there; whether there is one."""
+def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active, found):
+    """Send a joint that its step carried over a bound just there, free along it; whether there is one."""
     joint = limits[limit * LIMIT_COLUMNS + L_JOINT]
-    w, q = work + joint * SLOTS * n, q + 4 * joint * n
+    w, at = work + joint * SLOTS * n, q + 4 * joint * n
     p = joints[joint * JOINT_COLUMNS + J_PARENT]
-    found = False
+    out, hit = w + NORMALS * n, False
     for k in range(n):
         side = w + SIDE * n + k
         if active[k] == 0.0 or (row[side] == 0.0 and row[side + n] == 0.0 and row[side + 2 * n] == 0.0):
             continue
-        a, b, c, d = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
+        a, b, c, d = row[at + k], row[at + n + k], row[at + 2 * n + k], row[at + 3 * n + k]
         best = w + BEST * n + k
         a, b, c, d = quat_multiply(a, b, c, d, row[best], -row[best + n], -row[best + 2 * n], -row[best + 3 * n])
         if a < 0.0:
@@ -351,9 +368,19 @@ def force_to_bound(joints, limits, limit, row, q, work, n, active):
             x, y, z = quat_rotate(row[up], row[up + n], row[up + 2 * n], row[up + 3 * n], x, y, z)
         step = w + STEP * n + k
         ox, oy, oz = x - row[step], y - row[step + n], z - row[step + 2 * n]
-        if np.sqrt(ox * ox + oy * oy + oz * oz) > 0.1 * np.sqrt(x * x + y * y + z * z) + 1e-6:
-            row[w + KEEP * n + k] = 0.0
-            place = w + FORCED * n + k
-            row[place], row[place + n], row[place + 2 * n] = x, y, z
-            found = True
-    return found
+        if np.sqrt(ox * ox + oy * oy + oz * oz) <= 0.1 * np.sqrt(x * x + y * y + z * z) + 1e-6:
+            continue
+        _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
+        for m in range(3):
+            if row[side + m * n] != 0.0:
+                _block(row, out, n, k, found[3 * m], found[3 * m + 1], found[3 * m + 2])
+        place = w + FORCED * n + k
+        for m in range(3):
+            normal = out + 3 * m * n + k
+            u, v, t = row[normal], row[normal + n], row[normal + 2 * n]
+            along = x * u + y * v + z * t
+            row[place] += along * u
+            row[place + n] += along * v
+            row[place + 2 * n] += along * t
+        hit = True
+    return hit

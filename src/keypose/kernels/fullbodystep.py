@@ -25,7 +25,6 @@ from keypose.kernels.fullbodytables import (
     J_PARENT,
     J_PRIOR,
     JOINT_COLUMNS,
-    KEEP,
     MASS,
     MIXED,
     MOMENT,
@@ -182,11 +181,10 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
                 myy, myz, mzz = myy + x, myz + y, mzz + z
                 x, y, z = load3(row, w + PRIOR_PULL * n, n)
                 ex, ey, ez = ex + x, ey + y, ez + z
-            if forced:  # a forced joint has no say
-                keep = load(row, w + KEEP * n)
-                rest = 1.0 - keep
-                mxx, mxy, mxz = keep * mxx + rest, keep * mxy, keep * mxz
-                myy, myz, mzz = keep * myy + rest, keep * myz, keep * mzz + rest
+            if forced:  # what a joint is sent by, against which its own stiffness pulls
+                x, y, z = load3(row, w + FORCED * n, n)
+                ux, uy, uz = _columns(mxx - lam, mxy, mxz, myy - lam, myz, mzz - lam, x, y, z)
+                ex, ey, ez = ex + ux, ey + uy, ez + uz
             if kind == UPRIGHT or joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
                 own = absolute(axx) + absolute(ayy) + absolute(azz) + lam
                 _restricted_inverse(row, w, near, n, kind == UPRIGHT, sound, own, mxx, mxy, mxz, myy, myz, mzz)
@@ -194,10 +192,6 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
                 iyy, iyz, izz = load3(row, near + 3 * n, n)
             else:
                 ixx, ixy, ixz, iyy, iyz, izz = _inverse(row, sound, mxx, mxy, mxz, myy, myz, mzz)
-            if forced:
-                keep = load(row, w + KEEP * n)
-                ixx, ixy, ixz = keep * ixx, keep * ixy, keep * ixz
-                iyy, iyz, izz = keep * iyy, keep * iyz, keep * izz
             a0, a3, a6 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k0, k1, k2)
             a1, a4, a7 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k3, k4, k5)
             a2, a5, a8 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k6, k7, k8)
@@ -286,7 +280,7 @@ def _gradient(row, w, n, px, py, pz):
 def _gain_of_forced(joints, j, row, w, n, curved, lam, bend, gain, ox, oy, oz, vx, vy, vz):
     """What a joint's step adds to the promise where some joints are forced.
 
-    Half of minus gradient times step, of the damping on free joints, and of what pulls at forced ones after the step.
+    Half of minus gradient times step, of the damping on what is free of it, and of what pulls at what is forced.
     """
     px, py, pz = load3(row, w + PLACE * n, n)
     x, y, z = load3(row, w + STEP * n, n)
@@ -315,9 +309,9 @@ def _gain_of_forced(joints, j, row, w, n, curved, lam, bend, gain, ox, oy, oz, v
         mx, my, mz = load3(row, w + (PRIOR_INERTIA + 3) * n, n)
         k4, yz, k8 = k4 + mx, yz + my, k8 + mz
     ex, ey, ez = ex + k0 * x + xy * y + xz * z, ey + xy * x + k4 * y + yz * z, ez + xz * x + yz * y + k8 * z
-    keep = load(row, w + KEEP * n)
-    more = keep * lam * (x * x + y * y + z * z) - (gx * x + gy * y + gz * z)
-    add(row, gain, 0.5 * (more - (1.0 - keep) * (ex * x + ey * y + ez * z)))
+    fx, fy, fz = load3(row, w + FORCED * n, n)
+    own = (x - fx) * (x - fx) + (y - fy) * (y - fy) + (z - fz) * (z - fz)
+    add(row, gain, 0.5 * (lam * own - (gx * x + gy * y + gz * z) - (fx * ex + fy * ey + fz * ez)))
 
 
 @kernel

@@ -16,11 +16,12 @@ LIMIT_NUMBERS = 20
 O_TOLERANCE_M, O_TOLERANCE_RAD, O_SETTLED, O_SHRINK, O_GROWTH, O_LEAST = range(6)
 O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, OPTIONS = range(6, 12)
 BOUND = 1e-7  # radians (shares of a cone) within which a joint stands at its bound
+SAME = 0.03  # radians between directions that are one
 
 # Slots of one joint, each a vector: rotation and place in the model's space; the sums of tasks, reduced on the way to the
 # root (inertia 6, mixed 9, mass 6, torque 3, force 3); plain sums (moment, pull, virial 9); the answer to the parent's turn,
 # motion and the pull; the best rotation; step and motion; what is forced; limits; priors; sums saved for a second pass.
 TURN, PLACE, INERTIA, MIXED, MASS, TORQUE, FORCE, MOMENT, PULL, VIRIAL = 0, 4, 7, 13, 22, 28, 31, 34, 37, 40
-BY_TURN, BY_MOVE, BY_PULL, BEST, STEP, MOTION, KEEP, FORCED = 49, 58, 67, 70, 74, 77, 83, 84
+BY_TURN, BY_MOVE, BY_PULL, BEST, STEP, MOTION, FORCED = 49, 58, 67, 70, 74, 77, 84
 NORMALS, SIDE, BEST_SIDE, PRIOR_INERTIA, PRIOR_PULL, SAVED = 87, 96, 99, 102, 108, 111
 SLOTS, SUMS = 138, 27
