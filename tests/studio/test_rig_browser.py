@@ -185,6 +185,20 @@ def test_numbers_spaces_and_fk_keep_the_pose(human: RigUi) -> None:
     assert ui.hook("placeOf", "RightFoot")[1] > posed[ui.page.evaluate(f"{ACTOR}.rig.index('RightFoot')")][1] + 0.02
 
 
+def test_what_was_posed_by_hand_is_keyed_with_its_numbers(human: RigUi) -> None:
+    ui = human
+    ui.hook("selectJoints", ["hand_ik.L"])
+    ui.test_id("rig-ik").click()
+    ui.rested()
+    ui.drag("hand_ik.L", (-40.0, -50.0))
+    posed = ui.places(0.0)
+    assert ui.document().clips[next(iter(ui.document().clips))].curves == {}
+    ui.press("k")
+    ui.rested()
+    assert ui.page.evaluate("keypose.editor.posed.size") == 0
+    np.testing.assert_allclose(ui.python_places(0.0), posed, atol=1e-5)
+
+
 def test_controls_are_picked_on_the_stage(human: RigUi) -> None:
     ui = human
     x, y = ui.hook("pointOf", "look")

@@ -172,8 +172,8 @@ export interface Editor {
    * current time when `done`; without, they stay until time moves. While dragging, `done` is false.
    */
   pose(values: ReadonlyMap<string, readonly number[]>, label: string, done: boolean): void;
-  /** Key what the joints show now, at the current time, on the active clip. */
-  insertKeys(joints: readonly number[], properties: readonly Property[]): void;
+  /** Key what the joints show now, at the current time, on the active clip, and `more` channels of weights and numbers. */
+  insertKeys(joints: readonly number[], properties: readonly Property[], more?: readonly ChannelId[]): void;
   /** Say something to the user. */
   toast(kind: "error" | "info", title: string, message: string): void;
 }

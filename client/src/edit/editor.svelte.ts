@@ -471,16 +471,17 @@ export class Editor implements EditorContract {
     return { curves: new Map([[clip.name, curves]]) };
   }
 
-  insertKeys(joints: readonly number[], properties: readonly Property[]): void {
+  insertKeys(joints: readonly number[], properties: readonly Property[], more: readonly ChannelId[] = []): void {
     const { actor, clip } = this;
-    if (!actor || !clip || joints.length === 0) {
+    if (!actor || !clip || joints.length + more.length === 0) {
       this.toast("info", "Nothing to key", !clip ? "The active layer has no clip." : "Select a joint first.");
       return;
     }
-    const channels = joints.flatMap((joint) => properties.flatMap((p) => channelsFor(clip, actor.rig.names[joint], p, layout.rotations)));
+    const channels = [...joints.flatMap((joint) => properties.flatMap((p) => channelsFor(clip, actor.rig.names[joint], p, layout.rotations))), ...more];
     const changes = this.keyed(actor, clip, channels, this.posed);
     this.posed = new Map();
-    this.commit(`Key ${joints.length === 1 ? actor.rig.names[joints[0]] : `${joints.length} joints`}`, changes);
+    const what = joints.length === 1 ? actor.rig.names[joints[0]] : joints.length > 0 ? `${joints.length} joints` : more.map((c) => c.target).join(", ");
+    this.commit(`Key ${what}`, changes);
   }
 
   /** Key morph weights as they are now. */

@@ -13,7 +13,7 @@ export class Layout {
   left = $state(innerWidth < 1600 ? 228 : 280);
   right = $state(innerWidth < 1600 ? 284 : 330);
   bottom = $state(innerHeight < 800 ? 252 : 340);
-  layers = $state(innerHeight < 800 ? 138 : 240);
+  layers = $state(innerHeight < 1000 ? 138 : 240);
   leftOpen = $state(true);
   rightOpen = $state(true);
   tab = $state<RightTab>("joint");

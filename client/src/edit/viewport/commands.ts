@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { studio } from "../../studio.svelte";
 import type { Command } from "../commands";
-import type { Editor, Property } from "../contract";
+import { channelOf, type ChannelId, type Editor, type Property } from "../contract";
 import { rigging } from "../rig/rigging.svelte";
 import type { Mode } from "./manipulate";
 import { Blend, clipboard, copyPose, mirrored, pastePose, takePose } from "./poses";
@@ -133,19 +133,20 @@ function toRest(editor: Editor, stage: StageEditor, properties: ("translation" |
 /** Key what was set by hand; where nothing was, what the selected joints show. */
 export function keyShown(editor: Editor, stage: StageEditor): void {
   const actor = editor.actor!, { rig } = actor;
-  const byHand = new Map<Property, number[]>();
+  const byHand = new Map<Property, number[]>(), numbers: ChannelId[] = [];
   for (const key of editor.posed.keys()) {
     const [target, property] = key.split("\u0000") as [string, Property];
+    if (property === "weight" || property === "value") numbers.push(channelOf(target, property));
     const joint = rig.index(target);
     if (joint >= 0) byHand.set(property, [...(byHand.get(property) ?? []), joint]);
   }
   const properties = new Set<Property>(["rotation", ...byHand.keys()]);
   const joints = [...new Set([...stage.joints, ...[...byHand.values()].flat()])];
   // roots move, and so does what was moved once
-  if (joints.some((j) => rig.parents[j] < 0 || tools.detach)) properties.add("translation");
+  if (joints.some((j) => rig.parents[j] < 0 || byHand.get("translation")?.includes(j) || tools.detach)) properties.add("translation");
   for (const curve of editor.clip?.curves.values() ?? [])
     if (curve.channel.property === "scale" && joints.some((j) => rig.names[j] === curve.channel.target)) properties.add("scale");
-  editor.insertKeys(joints, [...properties]);
+  editor.insertKeys(joints, [...properties], numbers);
 }
 
 function dropPosed(editor: Editor, stage: StageEditor): void {
