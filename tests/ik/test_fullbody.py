@@ -123,7 +123,7 @@ def test_ten_thousand_unreachable_ones_settle_without_jitter(
     options = SolveOptions(iterations=300)
     found = solve_pose(body, rest_of(body), reach(places, roles), limits=limits, options=options)
     assert not found.reached.any()
-    assert found.converged.mean() > 0.8
+    assert found.converged.mean() > 0.85
     assert worst_violation(body, limits, found.pose) < 1e-6
     # solving on from the result changes nothing
     again = solve_pose(body, found.pose, reach(places, roles), limits=limits, options=options)

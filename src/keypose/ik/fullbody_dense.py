@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from keypose.arrays import Array, Floats, Ints
-from keypose.ik.fullbody_limits import FREE, HELD, bounds_met
+from keypose.ik.fullbody_limits import FREE, HELD, bounds_met, edge_of_cone
 from keypose.ik.fullbody_problem import Problem, Term
-from keypose.ik.limits import clamp_rotation
+from keypose.ik.limits import Cone, clamp_rotation
 from keypose.ik.tasks import (
     CenterOfMassTask,
     ContactTask,
@@ -244,6 +244,7 @@ def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: floa
     hessian = np.swapaxes(matrix, 1, 2) @ matrix
     hessian += state.curved[left, None, None] * curvature(part, turned, places)
     freedom = _freedom(part, rotations, turned, gradient)
+    hessian += state.curved[left, None, None] * _edges(part, rotations, turned, gradient)
     forced, damping = np.zeros_like(gradient), np.maximum(state.damping[left] * old, part.least_damping)
     change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
     new, moved = apply(part, rotations, shift, turned, change)
@@ -371,6 +372,26 @@ def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floa
         blocked = (sides == HELD) | ((sides != FREE) & (pull * sides > 0))
         free[:, one.joint] = _complement(free[:, one.joint], directions * blocked[..., None])
     return free
+
+
+def _edges(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
+    """How joints that are pulled over the edges of their cones stiffen along them: blocks of the Hessian (N, C, C)."""
+    out = np.zeros((len(rotations), gradient.shape[1], gradient.shape[1]))
+    for one in problem.limited:
+        limit, joint, parent = one.limit, one.joint, int(problem.parents[one.joint])
+        if not isinstance(limit, Cone):
+            continue
+        directions, sides = bounds_met(limit, rotations[:, joint], one.home)
+        normal = directions[:, 1] if parent < 0 else quat.rotate(turned[:, parent], directions[:, 1])
+        own = slice(3 * joint, 3 * joint + 3)
+        pull = -np.sum(normal * gradient[:, own], axis=-1) * (sides[:, 1] != FREE)
+        center = np.broadcast_to(np.asarray(limit.center, np.float64), one.home.shape)
+        turn = quat.multiply(quat.conjugate(quat.multiply(one.home, center)), rotations[:, joint])
+        axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
+        along = np.cross(quat.rotate(turned[:, joint], np.broadcast_to(axis, normal.shape)), normal)
+        along = along * np.sqrt(np.maximum(pull * edge_of_cone(limit, turn), 0.0))[:, None]
+        out[:, own, own] = along[:, :, None] * along[:, None, :]
+    return out
 
 
 def _complement(free: Floats, normals: Floats) -> Floats:

@@ -126,6 +126,23 @@ def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
     return _turned(frame, directions), sides
 
 
+def edge_of_cone(limit: Cone, turn: Floats) -> Floats:
+    """How curved the edge of a cone is where a joint is turned (N, 4) from its middle, per radian (N,); 0 where it bends away.
+
+    That of the ellipse in the plane of swings, less as much as a circle's is less on the sphere.
+    """
+    axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
+    u, other = swing_axes(limit)
+    pointed = quat.rotate(turn, np.broadcast_to(axis, (len(turn), 3)))
+    first, second, cosine = pointed @ u, pointed @ other, pointed @ axis
+    sine = np.maximum(np.hypot(first, second), 1e-12)
+    angle = np.arctan2(sine, cosine)
+    a, b = limit.swings
+    across = (angle * second / sine / a**2) ** 2 + (angle * first / sine / b**2) ** 2
+    bent = angle * cosine / sine / (a**2 * b**2 * np.maximum(across, 1e-300) ** 1.5)
+    return np.where((cosine > 0.0) & (sine > 1e-6), bent, 0.0)
+
+
 def _turned(frame: Floats, directions: Floats) -> Floats:
     return quat.rotate(np.broadcast_to(frame[:, None], (*directions.shape[:-1], 4)), directions)
 

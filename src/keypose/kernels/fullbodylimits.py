@@ -12,6 +12,7 @@ from keypose.kernels.fullbodytables import (
     BEST,
     BOUND,
     CONE,
+    EDGE,
     FORCED,
     HINGE,
     J_PARENT,
@@ -223,6 +224,8 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
     for k in range(n):
         for m in range(9):
             row[out + m * n + k] = 0.0
+        for m in range(3):
+            row[w + (EDGE + m) * n + k] = 0.0
         if row[side + k] == 0.0 and row[side + n + k] == 0.0 and row[side + 2 * n + k] == 0.0:
             continue
         _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
@@ -237,8 +240,40 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
         for m in range(3):
             bound = row[side + m * n + k]
             x, y, z = found[3 * m], found[3 * m + 1], found[3 * m + 2]
-            if bound == 2.0 or (x * gx + y * gy + z * gz) * bound < 0.0:
+            pull = 0.0 - (x * gx + y * gy + z * gz)
+            if bound == 2.0 or pull * bound > 0.0:
                 _block(row, out, n, k, x, y, z)
+                if m == 1 and limits[limit * LIMIT_COLUMNS + L_KIND] == CONE:
+                    _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, x, y, z)
+
+
+@kernel
+def _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, nx, ny, nz):
+    """How much a joint that is pulled over the edge of its cone stiffens along it; see `keypose.ik.fullbody_limits`."""
+    at = limit * LIMIT_COLUMNS
+    home, q = data + limits[at + L_HOME] * n + k, q + 4 * limits[at + L_JOINT] * n + k
+    table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
+    a, b, c, d = quat_multiply(
+        row[home], -row[home + n], -row[home + 2 * n], -row[home + 3 * n],
+        row[q], row[q + n], row[q + 2 * n], row[q + 3 * n],
+    )  # fmt: skip
+    x, y, z = quat_rotate(a, b, c, d, table[0], table[1], table[2])
+    first = x * table[3] + y * table[4] + z * table[5]
+    second = x * table[6] + y * table[7] + z * table[8]
+    cosine = x * table[0] + y * table[1] + z * table[2]
+    sine = np.sqrt(first * first + second * second)
+    if cosine <= 0.0 or sine < 1e-6:
+        return
+    angle = np.arctan2(sine, cosine)
+    ra, rb = table[9] * table[9], table[10] * table[10]
+    u, v = angle * second / (sine * ra), angle * first / (sine * rb)
+    bent = angle * cosine / sine / (ra * rb * (u * u + v * v) ** 1.5)
+    scale = np.sqrt(max(pull * bent, 0.0))
+    turn = w + TURN * n + k
+    x, y, z = quat_rotate(row[turn], row[turn + n], row[turn + 2 * n], row[turn + 3 * n], table[0], table[1], table[2])
+    x, y, z = cross(x, y, z, nx, ny, nz)
+    edge = w + EDGE * n + k
+    row[edge], row[edge + n], row[edge + 2 * n] = scale * x, scale * y, scale * z
 
 
 @kernel

@@ -16,6 +16,7 @@ from keypose.kernels.fullbodytables import (
     BY_MOVE,
     BY_PULL,
     BY_TURN,
+    EDGE,
     FIXED,
     FORCE,
     FORCED,
@@ -174,6 +175,10 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
             mxx, mxy, mxz = k0 + lam, 0.5 * (k1 + k3), 0.5 * (k2 + k6)
             myy, myz, mzz = k4 + lam, 0.5 * (k5 + k7), k8 + lam
             ex, ey, ez = gx, gy, gz
+            if curved and joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
+                x, y, z = load3(row, w + EDGE * n, n)
+                mxx, mxy, mxz = mxx + bend * x * x, mxy + bend * x * y, mxz + bend * x * z
+                myy, myz, mzz = myy + bend * y * y, myz + bend * y * z, mzz + bend * z * z
             if joints[j * JOINT_COLUMNS + J_PRIOR]:
                 x, y, z = load3(row, w + PRIOR_INERTIA * n, n)
                 mxx, mxy, mxz = mxx + x, mxy + y, mxz + z
@@ -300,6 +305,10 @@ def _gain_of_forced(joints, j, row, w, n, curved, lam, bend, gain, ox, oy, oz, v
     ey = ey + k1 * ox + k4 * oy + k7 * oz + b3 * vx + b4 * vy + b5 * vz
     ez = ez + k2 * ox + k5 * oy + k8 * oz + b6 * vx + b7 * vy + b8 * vz
     xy, xz, yz = 0.5 * (k1 + k3), 0.5 * (k2 + k6), 0.5 * (k5 + k7)
+    if curved and joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
+        mx, my, mz = load3(row, w + EDGE * n, n)
+        k0, xy, xz = k0 + bend * mx * mx, xy + bend * mx * my, xz + bend * mx * mz
+        k4, yz, k8 = k4 + bend * my * my, yz + bend * my * mz, k8 + bend * mz * mz
     if joints[j * JOINT_COLUMNS + J_PRIOR]:
         mx, my, mz = load3(row, w + PRIOR_PULL * n, n)
         gx, gy, gz = gx + mx, gy + my, gz + mz

@@ -24,4 +24,5 @@ SAME = 0.03  # radians between directions that are one
 TURN, PLACE, INERTIA, MIXED, MASS, TORQUE, FORCE, MOMENT, PULL, VIRIAL = 0, 4, 7, 13, 22, 28, 31, 34, 37, 40
 BY_TURN, BY_MOVE, BY_PULL, BEST, STEP, MOTION, FORCED = 49, 58, 67, 70, 74, 77, 84
 NORMALS, SIDE, BEST_SIDE, PRIOR_INERTIA, PRIOR_PULL, SAVED = 87, 96, 99, 102, 108, 111
-SLOTS, SUMS = 138, 27
+EDGE = 138  # the pull along a bound that is curved, for the curvature
+SLOTS, SUMS = 141, 27
