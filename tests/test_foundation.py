@@ -72,8 +72,22 @@ def test_as_float_keeps_precision() -> None:
 def test_lazy_names_exist_and_wrong_ones_are_told() -> None:
     assert keypose.load is keypose.io.load
     assert "model" in dir(keypose)
+    assert (
+        callable(keypose.retarget.retarget) and callable(keypose.rig.auto_rig) and keypose.editing and keypose.project
+    )
     with pytest.raises(AttributeError, match="nothing_here"):
         keypose.nothing_here  # noqa: B018
+
+
+def test_what_measures_does_not_load_the_solver_for_whole_bodies() -> None:
+    code = "import sys, keypose.analysis, keypose.retarget; print([m for m in sys.modules if 'fullbody' in m])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert found == "[]"
+    from keypose import ik
+
+    assert all(hasattr(ik, name) for name in ik.__all__)
+    with pytest.raises(AttributeError, match="nothing_here"):
+        ik.nothing_here  # noqa: B018
 
 
 @pytest.mark.parametrize("module", ["keypose", "keypose.model", "keypose.io", "keypose.cli.app", "keypose.samples"])

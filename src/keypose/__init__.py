@@ -9,8 +9,8 @@ __version__ = "0.1.0"
 
 # Sub-packages and the few everyday functions are loaded on first use: importing keypose does no work.
 _PACKAGES = (
-    "analysis", "arrays", "bench", "cli", "deform", "errors", "evaluate", "ik", "io", "kernels",
-    "math", "model", "render", "samples", "studio",
+    "analysis", "arrays", "bench", "cli", "deform", "editing", "errors", "evaluate", "ik", "io", "kernels",
+    "math", "model", "play", "project", "render", "retarget", "rig", "samples", "studio",
 )  # fmt: skip
 _FUNCTIONS = {"load": "keypose.io", "save": "keypose.io"}
 

@@ -1,9 +1,12 @@
 """Inverse kinematics: closed-form limbs, joints and chains that look at something, chains that reach (CCD, FABRIK), limits of joints."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from keypose.ik.aim import AimChainResult, AimResult, aim_chain, aim_joint
 from keypose.ik.chains import ChainResult, chain_between, solve_ccd, solve_fabrik
-from keypose.ik.fullbody import OUTCOMES, IkResult, SolveOptions, TaskResidual, solve_pose
-from keypose.ik.fullbody_problem import RootMotion, RootPolicy
 from keypose.ik.limb import LimbResult, LimbTurns, limb_rotations, rotation_between_frames, solve_limb, solve_limbs
 from keypose.ik.limits import (
     Cone,
@@ -27,6 +30,21 @@ from keypose.ik.tasks import (
     Smoothness,
     Task,
 )
+
+if TYPE_CHECKING:
+    from keypose.ik.fullbody import OUTCOMES, IkResult, SolveOptions, TaskResidual, solve_pose
+    from keypose.ik.fullbody_problem import RootMotion, RootPolicy
+
+# The solver for whole bodies is loaded on first use: what only asks for limits or limbs does not wait for it.
+_SOLVER = {
+    "OUTCOMES": "fullbody",
+    "IkResult": "fullbody",
+    "RootMotion": "fullbody_problem",
+    "RootPolicy": "fullbody_problem",
+    "SolveOptions": "fullbody",
+    "TaskResidual": "fullbody",
+    "solve_pose": "fullbody",
+}
 
 __all__ = [
     "OUTCOMES",
@@ -69,3 +87,9 @@ __all__ = [
     "solve_limbs",
     "solve_pose",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _SOLVER:
+        return getattr(importlib.import_module(f"keypose.ik.{_SOLVER[name]}"), name)
+    raise AttributeError(f"module 'keypose.ik' has no attribute '{name}'")
