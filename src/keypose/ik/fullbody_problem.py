@@ -181,7 +181,7 @@ def make_problem(
         for a in (pose.translations, pose.rotations, pose.scales)
     )
     for name, array in (("translations", translations), ("rotations", start), ("scales", scales)):
-        if not np.all(np.isfinite(array)):
+        if not np.isfinite(array.sum()):
             raise ShapeError(f"pose.{name}: expected finite numbers")
     start = quat.normalize(start)
     scale = _scales(skeleton, scales, above, used)
@@ -240,6 +240,8 @@ def _joints_used(skeleton: Skeleton, tasks: Sequence[Task]) -> list[int]:
 
 def _scales(skeleton: Skeleton, scales: Floats, above: Ints, used: Sequence[int]) -> Floats:
     """The scale (N, J) of each joint's own space; only scales that turn with everything below make sense here."""
+    if np.all(scales == 1.0):
+        return np.ones(scales.shape[:2])
     inner = np.zeros(skeleton.joint_count, bool)
     for joint in used:
         inner |= above[:, joint]
