@@ -12,7 +12,13 @@ from pathlib import Path
 
 import pytest
 
-VERBS = ("demo", "studio", "play", "info", "check", "convert", "retarget", "rig", "roles", "render", "graph", "bench")
+from keypose.bench import SUITES
+from keypose.cli.app import app
+
+VERBS = (
+    "demo", "studio", "play", "info", "check", "convert", "edit", "clean", "retarget", "rig", "roles", "skin", "render",
+    "graph", "bench",
+)  # fmt: skip
 
 
 def keypose(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -43,6 +49,8 @@ def test_help_lists_every_verb_and_every_verb_has_examples() -> None:
         shown = keypose(verb, "--help")
         assert shown.returncode == 0
         assert "Examples" in shown.stdout and f"keypose {verb}" in shown.stdout
+    assert {c.name or getattr(c.callback, "__name__", "") for c in app.registered_commands} == set(VERBS)
+    assert all(suite in shown.stdout for suite in SUITES), "the last verb is bench, whose help names every suite"
 
 
 def test_help_comes_at_once() -> None:

@@ -8,6 +8,22 @@ from typing import Annotated
 
 import typer
 
+from keypose.cli.arguments import (
+    ClipOption,
+    FormatOptions,
+    Host,
+    NoBrowser,
+    OneInput,
+    Port,
+    Remote,
+    SkeletonFile,
+    Theme,
+    UnitOption,
+    UpOption,
+    examples,
+)
+from keypose.cli.verbs import verbs
+
 app = typer.Typer(
     help="Character animation: look at it, convert it, render it, measure it.",
     epilog="Wherever a FILE is asked, sample:NAME names a built-in character or performance: sample:human, sample:walk.",
@@ -17,44 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-Inputs = Annotated[list[str], typer.Argument(metavar="FILE...", help="Files, or sample:NAME.", show_default=False)]
-OneInput = Annotated[str, typer.Argument(metavar="FILE", help="A file, or sample:NAME.", show_default=False)]
-ClipOption = Annotated[str | None, typer.Option("--clip", help="Name of the animation; the first one if not given.")]
-UnitOption = Annotated[
-    str | None,
-    typer.Option("--unit", help="Unit of a file that does not say: m, cm, mm, inch, foot, or metres as a number."),
-]
-UpOption = Annotated[str | None, typer.Option("--up", help="Up axis of a file that does not say: X, Y or Z.")]
-SkeletonFile = Annotated[
-    str | None, typer.Option("--skeleton", metavar="FILE", help="The ASF skeleton of an AMC motion.")
-]
-FormatOptions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--option", "-o", metavar="NAME=VALUE", help="An option of the format; keypose convert --formats lists them."
-    ),
-]
-Host = Annotated[str, typer.Option(help="Address to listen on; only this machine can reach the default.")]
-Port = Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.", min=0, max=65535)]
-Remote = Annotated[
-    bool,
-    typer.Option(
-        "--allow-remote", help="Let --host be an address that other machines reach. Anyone with the URL can look."
-    ),
-]
-NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Only print the URL.")]
-
-
-class Theme(StrEnum):
-    """The look of the picture."""
-
-    light = "light"
-    dark = "dark"
-
-
-def _examples(*lines: str) -> str:
-    return "[bold]Examples[/bold]\n\n" + "\n\n".join(f"[dim]$[/dim] {line}" for line in lines)
 
 
 def _version(asked: bool) -> None:
@@ -82,7 +60,7 @@ def options(
     """Options before the verb."""
 
 
-@app.command(epilog=_examples("keypose demo", "keypose demo --no-browser --port 8123"))
+@app.command(epilog=examples("keypose demo", "keypose demo --no-browser --port 8123"))
 def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False, allow_remote: Remote = False) -> None:
     """Open the studio on the built-in character, walking; its Play page lets you drive it."""
     from keypose.cli.studio import open_studio
@@ -95,7 +73,7 @@ _StudioInputs = Annotated[
 ]
 
 
-@app.command(epilog=_examples("keypose studio walk.bvh character.glb", "keypose studio --no-browser --port 8123"))
+@app.command(epilog=examples("keypose studio walk.bvh character.glb", "keypose studio --no-browser --port 8123"))
 def studio(
     files: _StudioInputs = None,
     host: Host = "127.0.0.1",
@@ -110,7 +88,7 @@ def studio(
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose play [dim]# the built-in character: WASD, Shift, Space[/dim]",
         "keypose play game.json [dim]# your graph; its clips lie beside it[/dim]",
         "keypose play walk.bvh character.glb [dim]# no graph: to look at[/dim]",
@@ -138,7 +116,7 @@ def play(
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose info walk.bvh", "keypose info character.glb --json | jq .clips", "keypose info sample:human"
     )
 )
@@ -157,7 +135,7 @@ def info(
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose check walk.bvh",
         "keypose check character.glb --json | jq .findings",
         "keypose check take.bvh --strict [dim]# exit code 1 where anything is wrong[/dim]",
@@ -206,7 +184,7 @@ def check(
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose convert take.bvh take.glb",
         "keypose convert walk.bvh character.glb walking.glb",
         "keypose convert character.glb run.bvh --clip Run --rate 60",
@@ -276,362 +254,7 @@ def convert(
     )
 
 
-@app.command(
-    epilog=_examples(
-        "keypose edit walk.bvh out.bvh --reach left_hand@120=0.3,1.4,0.2",
-        "keypose edit sample:walk out.glb --reach right_foot@40-60=+0,0.1,0 --ease 0.3",
-        "keypose edit sample:walk circle.mp4 --loop [dim]# the straight walk round a circle, feet planted[/dim]",
-        "keypose edit walk.bvh out.bvh --follow '0,0 0,1 1,2 3,2' --speed 1.2m/s",
-        "keypose edit walk.bvh out.bvh --reach left_hand@60=0.3,0.3,0.5 --spacetime [dim]# with the whole body[/dim]",
-    )
-)
-def edit(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
-    reach: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--reach",
-            metavar="JOINT@FRAMES=PLACE",
-            help="A joint or role is at X,Y,Z metres in a frame or in frames FIRST-LAST; +X,Y,Z counts from where it is.",
-        ),
-    ] = None,
-    turn: Annotated[
-        list[str] | None,
-        typer.Option("--turn", metavar="JOINT@FRAME=X,Y,Z", help="A joint turned by degrees, less and less around."),
-    ] = None,
-    keep: Annotated[
-        list[str] | None,
-        typer.Option("--keep", metavar="JOINT", help="With --turn, --whole-body and --spacetime: what stays."),
-    ] = None,
-    ease: Annotated[float, typer.Option("--ease", help="Seconds in which an edit comes and goes.", min=0)] = 0.4,
-    whole_body: Annotated[
-        bool, typer.Option("--whole-body", help="Trunk and hips help where an arm or a leg is too short; feet stay.")
-    ] = False,
-    spacetime: Annotated[
-        bool, typer.Option("--spacetime", help="Reach with the whole body, changing as little as possible; feet stay.")
-    ] = False,
-    bend: Annotated[float | None, typer.Option("--bend", help="Degrees that the way turns more, to the left.")] = None,
-    loop: Annotated[bool, typer.Option("--loop", help="Close the way to a loop.")] = False,
-    follow: Annotated[
-        str | None, typer.Option("--follow", metavar="'X,Z X,Z ...'", help="A way drawn by places on the ground.")
-    ] = None,
-    stride: Annotated[float | None, typer.Option("--stride", help="How much longer steps are.", min=0.01)] = None,
-    speed: Annotated[
-        str | None, typer.Option("--speed", metavar="SPEED", help="A factor such as 1.5, or a speed such as 1.2m/s.")
-    ] = None,
-    clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
-    skeleton: SkeletonFile = None,
-    option: FormatOptions = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
-    """Edit a motion by constraints: its speed, then its path, then poses, then places to reach; frames are the result's."""
-    from keypose.cli.edit import Edits, edit_file
-
-    edits = Edits(reach or (), turn or (), keep or (), ease, whole_body, spacetime, bend, loop, follow, stride, speed)
-    edit_file(
-        motion,
-        output,
-        edits,
-        clip=clip,
-        rate_hz=rate,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
-        options=option or (),
-        quiet=quiet,
-    )
-
-
-class HipsChoice(StrEnum):
-    """What hips may do while feet are planted."""
-
-    free = "free"
-    upright = "upright"
-    still = "still"
-
-
-@app.command(
-    epilog=_examples(
-        "keypose clean walk.bvh walk-clean.bvh",
-        "keypose clean take.fbx clean.glb --ground slope --contacts contacts.csv",
-        "keypose clean 02_01.amc clean.mp4 [dim]# look at it at once[/dim]",
-        "keypose clean take.bvh clean.bvh --floor 0 [dim]# and put it on the floor[/dim]",
-    )
-)
-def clean(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
-    clip: ClipOption = None,
-    ground: Annotated[
-        str, typer.Option("--ground", help="auto, flat, slope, steps, or the height under the soles in metres.")
-    ] = "auto",
-    hips: Annotated[
-        HipsChoice, typer.Option("--hips", help="Whether hips may come along: free, upright (up and down), still.")
-    ] = HipsChoice.free,
-    pitch: Annotated[
-        bool,
-        typer.Option("--keep-pitch", help="Leave feet as they are pitched; else flat ones are laid on the ground."),
-    ] = False,
-    loop: Annotated[bool, typer.Option("--loop", help="The last frame is the first: keep it so.")] = False,
-    floor: Annotated[
-        float | None,
-        typer.Option("--floor", metavar="HEIGHT", help="Lift or lower it all onto a floor there, in metres."),
-    ] = None,
-    contacts: Annotated[
-        Path | None, typer.Option("--contacts", metavar="FILE", help="Write the contacts as .json or .csv.")
-    ] = None,
-    events: Annotated[
-        bool, typer.Option("--events", help="Write contacts as events of the motion (.npz): left_ball.down ...")
-    ] = False,
-    roles: Annotated[
-        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
-    ] = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
-    skeleton: SkeletonFile = None,
-    option: FormatOptions = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
-    """Hold feet still where they touch the ground, without a jump of a knee; a second time it changes nothing."""
-    from keypose.cli.clean import clean_file
-
-    clean_file(
-        motion,
-        output,
-        clip=clip,
-        ground=ground,
-        hips=hips.value,
-        loop=loop,
-        level_feet=not pitch,
-        floor_m=floor,
-        contacts=contacts,
-        events=events,
-        roles=roles,
-        rate_hz=rate,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
-        options=option or (),
-        quiet=quiet,
-    )
-
-
-@app.command(
-    epilog=_examples(
-        "keypose retarget walk.bvh --to hero.glb hero-walking.glb",
-        "keypose retarget 02_01.amc --to sample:human walk.mp4 [dim]# look at it at once[/dim]",
-        "keypose roles hero.glb map.json && keypose retarget run.fbx --to hero.glb out.glb --to-roles map.json",
-    )
-)
-def retarget(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
-    to: Annotated[str, typer.Option("--to", metavar="CHARACTER", help="Who is to move.", show_default=False)],
-    clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
-    scale: Annotated[
-        float | None, typer.Option("--scale", help="Length of the way; by leg length if not given.", min=0.001)
-    ] = None,
-    no_plant: Annotated[bool, typer.Option("--no-plant", help="Leave feet where the angles put them.")] = False,
-    from_roles: Annotated[
-        Path | None, typer.Option("--from-roles", metavar="MAP", help="Roles of the motion's joints (keypose roles).")
-    ] = None,
-    to_roles: Annotated[
-        Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
-    ] = None,
-    source_reference: Annotated[
-        str | None,
-        typer.Option("--source-reference", metavar="FRAME", help="Frame of MOTION that stands upright; or FILE:FRAME."),
-    ] = None,
-    target_reference: Annotated[
-        str | None,
-        typer.Option(
-            "--target-reference", metavar="FRAME", help="Frame of CHARACTER's motion that stands; or FILE:FRAME."
-        ),
-    ] = None,
-    keep_hands: Annotated[
-        bool, typer.Option("--keep-hands", help="Hands that touch body or props do so on the character.")
-    ] = False,
-    prop: Annotated[
-        list[str] | None,
-        typer.Option("--prop", metavar="X,Y,Z", help="A place that hands hold on to, in metres; X,Y,Z:X,Y,Z for two."),
-    ] = None,
-    against: Annotated[
-        str | None, typer.Option("--against", metavar="FILE", help="Somebody else's result, to be compared.")
-    ] = None,
-    skeleton: SkeletonFile = None,
-    option: FormatOptions = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
-    """Put a motion on another character, feet planted, and print how well it fits."""
-    from keypose.cli.retarget import retarget_file
-
-    retarget_file(
-        motion,
-        to,
-        output,
-        clip=clip,
-        rate_hz=rate,
-        scale=scale,
-        plant=not no_plant,
-        source_roles=from_roles,
-        target_roles=to_roles,
-        unit=unit,
-        up=up,
-        quiet=quiet,
-        source_reference=source_reference,
-        target_reference=target_reference,
-        hands=keep_hands,
-        props=prop or (),
-        against=against,
-        skeleton=skeleton,
-        options=option or (),
-    )
-
-
-@app.command(
-    epilog=_examples(
-        "keypose rig hero.glb [dim]# its controls[/dim]",
-        "keypose rig hero.glb hero.keypose [dim]# a project to pose and key them in: keypose studio hero.keypose[/dim]",
-        "keypose rig sample:human walk.keypose --motion sample:walk [dim]# a motion as keys on controls[/dim]",
-        "keypose convert walk.keypose walk.glb [dim]# and back to joints[/dim]",
-    )
-)
-def rig(
-    character: Annotated[
-        str, typer.Argument(metavar="CHARACTER", help="A file with a humanoid, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="The project to write, OUT.keypose.", show_default=False)
-    ] = None,
-    motion: Annotated[
-        str | None,
-        typer.Option("--motion", metavar="FILE", help="A motion to be keyed on the controls; retargeted where needed."),
-    ] = None,
-    clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Keys per second of the motion.", min=0.001)] = None,
-    roles: Annotated[
-        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
-    ] = None,
-    skeleton: SkeletonFile = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the rig as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
-    """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
-    from keypose.cli.rig import rig_file
-
-    rig_file(
-        character,
-        output,
-        motion=motion,
-        clip=clip,
-        rate_hz=rate,
-        roles=roles,
-        as_json=json,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
-        quiet=quiet,
-    )
-
-
-@app.command(
-    epilog=_examples("keypose roles hero.fbx", "keypose roles hero.fbx map.json [dim]# correct it by hand[/dim]")
-)
-def roles(
-    file: OneInput,
-    output: Annotated[
-        Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    skeleton: SkeletonFile = None,
-    unit: UnitOption = None,
-    up: UpOption = None,
-) -> None:
-    """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
-    from keypose.cli.retarget import print_roles
-
-    if not print_roles(file, output, as_json=json, unit=unit, up=up, skeleton=skeleton):
-        raise typer.Exit(1)
-
-
-@app.command(
-    epilog=_examples(
-        "keypose skin statue.obj --skeleton walk.bvh hero.glb [dim]# the skeleton's rest pose has to fit the mesh[/dim]",
-        "keypose skin hero.fbx hero.glb [dim]# new weights for a character as it is[/dim]",
-        "keypose skin hero.glb hero-8.glb --influences 8 --strength 0.5 [dim]# wider, softer bends[/dim]",
-        "keypose skin hero.glb running.png --clip Run [dim]# look at it at once[/dim]",
-    )
-)
-def skin(
-    mesh: Annotated[
-        str, typer.Argument(metavar="MESH", help="A file with a mesh, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
-    skeleton: Annotated[
-        str | None,
-        typer.Option("--skeleton", metavar="FILE", help="Whose skeleton and motions; the mesh's own if not given."),
-    ] = None,
-    joints: Annotated[
-        str | None, typer.Option("--joints", metavar="NAMES", help="Joints that may move something, with commas.")
-    ] = None,
-    influences: Annotated[
-        int, typer.Option("--influences", help="Joints that may move a vertex, at most.", min=1, max=64)
-    ] = 4,
-    strength: Annotated[
-        float, typer.Option("--strength", help="Narrower (above 1) or wider (below 1) bends.", min=0.01, max=100)
-    ] = 1.0,
-    dual_quaternion: Annotated[
-        bool, typer.Option("--dual-quaternion", help="Blend with dual quaternions, which keep volume in twists.")
-    ] = False,
-    clip: Annotated[str | None, typer.Option("--clip", help="Name of the animation to keep; all if not given.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
-    unit: UnitOption = None,
-    up: UpOption = None,
-    option: FormatOptions = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
-    """Bind a mesh to a skeleton with automatic weights, and print how they came about."""
-    from keypose.cli.weights import skin_file
-
-    skin_file(
-        mesh,
-        output,
-        skeleton=skeleton,
-        joints=[name.strip() for name in joints.split(",") if name.strip()] if joints else None,
-        influences=influences,
-        strength=strength,
-        dual_quaternion=dual_quaternion,
-        clip=clip,
-        as_json=json,
-        unit=unit,
-        up=up,
-        options=option or (),
-        quiet=quiet,
-    )
+app.registered_commands += verbs.registered_commands
 
 
 class Backend(StrEnum):
@@ -653,7 +276,7 @@ class View(StrEnum):
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose render character.glb out.mp4",
         "keypose render walk.bvh walk.gif --size 480x480 --view side",
         "keypose render sample:human portrait.png --time 0.5",
@@ -717,7 +340,7 @@ def render(
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "keypose graph sample:locomotion out.glb --seconds 6",
         "keypose graph game.json out.mp4 --inputs keys.json",
         """echo '[{"at_s": 0, "set": {"speed": 1.2}}, {"at_s": 2, "set": {"jump": true}}]' > keys.json""",
@@ -741,10 +364,11 @@ def graph(
     bake_graph(graph, output, inputs=inputs, duration_s=seconds, rate_hz=rate, quiet=quiet)
 
 
-@app.command(epilog=_examples("keypose bench", "keypose bench kernels --json kernels.json"))
+@app.command(epilog=examples("keypose bench", "keypose bench kernels --json kernels.json"))
 def bench(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="kernels, bvh, fk, runtime, io; all if not given.")
+        str | None,
+        typer.Argument(metavar="[NAME]", help="kernels, bvh, fk, runtime, io, curves, ik; all if not given."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")] = None,
     rounds: Annotated[int, typer.Option("--rounds", help="How often every case is timed.", min=3, max=500)] = 15,

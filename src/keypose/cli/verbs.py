@@ -1,0 +1,371 @@
+"""The verbs that change motions and bodies, with their options; each one's work is in its own module, imported when it runs."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from keypose.cli.arguments import ClipOption, FormatOptions, OneInput, SkeletonFile, UnitOption, UpOption, examples
+
+verbs = typer.Typer()
+
+
+@verbs.command(
+    epilog=examples(
+        "keypose edit walk.bvh out.bvh --reach left_hand@120=0.3,1.4,0.2",
+        "keypose edit sample:walk out.glb --reach right_foot@40-60=+0,0.1,0 --ease 0.3",
+        "keypose edit sample:walk circle.mp4 --loop [dim]# the straight walk round a circle, feet planted[/dim]",
+        "keypose edit walk.bvh out.bvh --follow '0,0 0,1 1,2 3,2' --speed 1.2m/s",
+        "keypose edit walk.bvh out.bvh --reach left_hand@60=0.3,0.3,0.5 --spacetime [dim]# with the whole body[/dim]",
+    )
+)
+def edit(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    reach: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reach",
+            metavar="JOINT@FRAMES=PLACE",
+            help="A joint or role is at X,Y,Z metres in a frame or in frames FIRST-LAST; +X,Y,Z counts from where it is.",
+        ),
+    ] = None,
+    turn: Annotated[
+        list[str] | None,
+        typer.Option("--turn", metavar="JOINT@FRAME=X,Y,Z", help="A joint turned by degrees, less and less around."),
+    ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option("--keep", metavar="JOINT", help="With --turn, --whole-body and --spacetime: what stays."),
+    ] = None,
+    ease: Annotated[float, typer.Option("--ease", help="Seconds in which an edit comes and goes.", min=0)] = 0.4,
+    whole_body: Annotated[
+        bool, typer.Option("--whole-body", help="Trunk and hips help where an arm or a leg is too short; feet stay.")
+    ] = False,
+    spacetime: Annotated[
+        bool, typer.Option("--spacetime", help="Reach with the whole body, changing as little as possible; feet stay.")
+    ] = False,
+    bend: Annotated[float | None, typer.Option("--bend", help="Degrees that the way turns more, to the left.")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Close the way to a loop.")] = False,
+    follow: Annotated[
+        str | None, typer.Option("--follow", metavar="'X,Z X,Z ...'", help="A way drawn by places on the ground.")
+    ] = None,
+    stride: Annotated[float | None, typer.Option("--stride", help="How much longer steps are.", min=0.01)] = None,
+    speed: Annotated[
+        str | None, typer.Option("--speed", metavar="SPEED", help="A factor such as 1.5, or a speed such as 1.2m/s.")
+    ] = None,
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Edit a motion by constraints: its speed, then its path, then poses, then places to reach; frames are the result's."""
+    from keypose.cli.edit import Edits, edit_file
+
+    edits = Edits(reach or (), turn or (), keep or (), ease, whole_body, spacetime, bend, loop, follow, stride, speed)
+    edit_file(
+        motion,
+        output,
+        edits,
+        clip=clip,
+        rate_hz=rate,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        options=option or (),
+        quiet=quiet,
+    )
+
+
+class HipsChoice(StrEnum):
+    """What hips may do while feet are planted."""
+
+    free = "free"
+    upright = "upright"
+    still = "still"
+
+
+@verbs.command(
+    epilog=examples(
+        "keypose clean walk.bvh walk-clean.bvh",
+        "keypose clean take.fbx clean.glb --ground slope --contacts contacts.csv",
+        "keypose clean 02_01.amc clean.mp4 [dim]# look at it at once[/dim]",
+        "keypose clean take.bvh clean.bvh --floor 0 [dim]# and put it on the floor[/dim]",
+    )
+)
+def clean(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    clip: ClipOption = None,
+    ground: Annotated[
+        str, typer.Option("--ground", help="auto, flat, slope, steps, or the height under the soles in metres.")
+    ] = "auto",
+    hips: Annotated[
+        HipsChoice, typer.Option("--hips", help="Whether hips may come along: free, upright (up and down), still.")
+    ] = HipsChoice.free,
+    pitch: Annotated[
+        bool,
+        typer.Option("--keep-pitch", help="Leave feet as they are pitched; else flat ones are laid on the ground."),
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="The last frame is the first: keep it so.")] = False,
+    floor: Annotated[
+        float | None,
+        typer.Option("--floor", metavar="HEIGHT", help="Lift or lower it all onto a floor there, in metres."),
+    ] = None,
+    contacts: Annotated[
+        Path | None, typer.Option("--contacts", metavar="FILE", help="Write the contacts as .json or .csv.")
+    ] = None,
+    events: Annotated[
+        bool, typer.Option("--events", help="Write contacts as events of the motion (.npz): left_ball.down ...")
+    ] = False,
+    roles: Annotated[
+        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
+    ] = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Hold feet still where they touch the ground, without a jump of a knee; a second time it changes nothing."""
+    from keypose.cli.clean import clean_file
+
+    clean_file(
+        motion,
+        output,
+        clip=clip,
+        ground=ground,
+        hips=hips.value,
+        loop=loop,
+        level_feet=not pitch,
+        floor_m=floor,
+        contacts=contacts,
+        events=events,
+        roles=roles,
+        rate_hz=rate,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        options=option or (),
+        quiet=quiet,
+    )
+
+
+@verbs.command(
+    epilog=examples(
+        "keypose retarget walk.bvh --to hero.glb hero-walking.glb",
+        "keypose retarget 02_01.amc --to sample:human walk.mp4 [dim]# look at it at once[/dim]",
+        "keypose roles hero.glb map.json && keypose retarget run.fbx --to hero.glb out.glb --to-roles map.json",
+    )
+)
+def retarget(
+    motion: Annotated[
+        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    to: Annotated[str, typer.Option("--to", metavar="CHARACTER", help="Who is to move.", show_default=False)],
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    scale: Annotated[
+        float | None, typer.Option("--scale", help="Length of the way; by leg length if not given.", min=0.001)
+    ] = None,
+    no_plant: Annotated[bool, typer.Option("--no-plant", help="Leave feet where the angles put them.")] = False,
+    from_roles: Annotated[
+        Path | None, typer.Option("--from-roles", metavar="MAP", help="Roles of the motion's joints (keypose roles).")
+    ] = None,
+    to_roles: Annotated[
+        Path | None, typer.Option("--to-roles", metavar="MAP", help="Roles of the character's joints.")
+    ] = None,
+    source_reference: Annotated[
+        str | None,
+        typer.Option("--source-reference", metavar="FRAME", help="Frame of MOTION that stands upright; or FILE:FRAME."),
+    ] = None,
+    target_reference: Annotated[
+        str | None,
+        typer.Option(
+            "--target-reference", metavar="FRAME", help="Frame of CHARACTER's motion that stands; or FILE:FRAME."
+        ),
+    ] = None,
+    keep_hands: Annotated[
+        bool, typer.Option("--keep-hands", help="Hands that touch body or props do so on the character.")
+    ] = False,
+    prop: Annotated[
+        list[str] | None,
+        typer.Option("--prop", metavar="X,Y,Z", help="A place that hands hold on to, in metres; X,Y,Z:X,Y,Z for two."),
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="FILE", help="Somebody else's result, to be compared.")
+    ] = None,
+    skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Put a motion on another character, feet planted, and print how well it fits."""
+    from keypose.cli.retarget import retarget_file
+
+    retarget_file(
+        motion,
+        to,
+        output,
+        clip=clip,
+        rate_hz=rate,
+        scale=scale,
+        plant=not no_plant,
+        source_roles=from_roles,
+        target_roles=to_roles,
+        unit=unit,
+        up=up,
+        quiet=quiet,
+        source_reference=source_reference,
+        target_reference=target_reference,
+        hands=keep_hands,
+        props=prop or (),
+        against=against,
+        skeleton=skeleton,
+        options=option or (),
+    )
+
+
+@verbs.command(
+    epilog=examples(
+        "keypose rig hero.glb [dim]# its controls[/dim]",
+        "keypose rig hero.glb hero.keypose [dim]# a project to pose and key them in: keypose studio hero.keypose[/dim]",
+        "keypose rig sample:human walk.keypose --motion sample:walk [dim]# a motion as keys on controls[/dim]",
+        "keypose convert walk.keypose walk.glb [dim]# and back to joints[/dim]",
+    )
+)
+def rig(
+    character: Annotated[
+        str, typer.Argument(metavar="CHARACTER", help="A file with a humanoid, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="The project to write, OUT.keypose.", show_default=False)
+    ] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option("--motion", metavar="FILE", help="A motion to be keyed on the controls; retargeted where needed."),
+    ] = None,
+    clip: ClipOption = None,
+    rate: Annotated[float | None, typer.Option("--rate", help="Keys per second of the motion.", min=0.001)] = None,
+    roles: Annotated[
+        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
+    ] = None,
+    skeleton: SkeletonFile = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the rig as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
+    from keypose.cli.rig import rig_file
+
+    rig_file(
+        character,
+        output,
+        motion=motion,
+        clip=clip,
+        rate_hz=rate,
+        roles=roles,
+        as_json=json,
+        unit=unit,
+        up=up,
+        skeleton=skeleton,
+        quiet=quiet,
+    )
+
+
+@verbs.command(
+    epilog=examples("keypose roles hero.fbx", "keypose roles hero.fbx map.json [dim]# correct it by hand[/dim]")
+)
+def roles(
+    file: OneInput,
+    output: Annotated[
+        Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    skeleton: SkeletonFile = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+) -> None:
+    """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
+    from keypose.cli.retarget import print_roles
+
+    if not print_roles(file, output, as_json=json, unit=unit, up=up, skeleton=skeleton):
+        raise typer.Exit(1)
+
+
+@verbs.command(
+    epilog=examples(
+        "keypose skin statue.obj --skeleton walk.bvh hero.glb [dim]# the skeleton's rest pose has to fit the mesh[/dim]",
+        "keypose skin hero.fbx hero.glb [dim]# new weights for a character as it is[/dim]",
+        "keypose skin hero.glb hero-8.glb --influences 8 --strength 0.5 [dim]# wider, softer bends[/dim]",
+        "keypose skin hero.glb running.png --clip Run [dim]# look at it at once[/dim]",
+    )
+)
+def skin(
+    mesh: Annotated[
+        str, typer.Argument(metavar="MESH", help="A file with a mesh, or sample:NAME.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
+    ],
+    skeleton: Annotated[
+        str | None,
+        typer.Option("--skeleton", metavar="FILE", help="Whose skeleton and motions; the mesh's own if not given."),
+    ] = None,
+    joints: Annotated[
+        str | None, typer.Option("--joints", metavar="NAMES", help="Joints that may move something, with commas.")
+    ] = None,
+    influences: Annotated[
+        int, typer.Option("--influences", help="Joints that may move a vertex, at most.", min=1, max=64)
+    ] = 4,
+    strength: Annotated[
+        float, typer.Option("--strength", help="Narrower (above 1) or wider (below 1) bends.", min=0.01, max=100)
+    ] = 1.0,
+    dual_quaternion: Annotated[
+        bool, typer.Option("--dual-quaternion", help="Blend with dual quaternions, which keep volume in twists.")
+    ] = False,
+    clip: Annotated[str | None, typer.Option("--clip", help="Name of the animation to keep; all if not given.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    option: FormatOptions = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Bind a mesh to a skeleton with automatic weights, and print how they came about."""
+    from keypose.cli.weights import skin_file
+
+    skin_file(
+        mesh,
+        output,
+        skeleton=skeleton,
+        joints=[name.strip() for name in joints.split(",") if name.strip()] if joints else None,
+        influences=influences,
+        strength=strength,
+        dual_quaternion=dual_quaternion,
+        clip=clip,
+        as_json=json,
+        unit=unit,
+        up=up,
+        options=option or (),
+        quiet=quiet,
+    )
