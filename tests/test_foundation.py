@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import keypose
-from keypose.arrays import as_float, checked, frozen
+from keypose.arrays import as_float, checked, finite, frozen
 from keypose.errors import FormatError, KeyposeError, MissingExtra, ShapeError, UnknownName
 
 
@@ -96,3 +97,26 @@ def test_import_does_no_heavy_work(module: str) -> None:
     code = f"import sys, {module}; print([m for m in {heavy!r} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
     assert found == "[]"
+
+
+def test_what_is_not_finite_is_told_with_its_place() -> None:
+    places = np.zeros((3, 2, 3))
+    assert finite(places, "places") is places
+    places[1, 0, 2] = np.nan
+    with pytest.raises(ShapeError, match=r"places: expected finite numbers, got nan at \[1, 0, 2\]"):
+        finite(places, "places")
+    walk = keypose.samples.load("walk")
+    body, motion = walk.character.skeleton, walk.animations[0]
+    turned = np.array(motion.pose.rotations)
+    turned[30, 5, 1] = np.nan
+    damaged = replace(motion, pose=replace(motion.pose, rotations=turned))
+    from keypose.analysis import find_roles, measure_quality
+    from keypose.editing.planting import plant_feet
+    from keypose.retarget import retarget
+
+    with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
+        measure_quality(damaged, body)
+    with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
+        plant_feet(damaged, body, find_roles(body).roles)
+    with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
+        retarget(damaged, body, body)

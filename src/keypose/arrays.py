@@ -100,3 +100,12 @@ def checked(array: Any, shape: tuple[int | str | Any, ...], name: str, context: 
         suffix = f" to match {context}" if context else ""
         raise ShapeError(f"{name}: expected ({expected}{comma}){suffix}, got {actual}")
     return array
+
+
+def finite(array: Floats, name: str) -> Floats:
+    """``array`` itself if all its numbers are finite, else a `ShapeError` that says which is not."""
+    good = np.isfinite(array)
+    if not good.all():
+        at = tuple(int(n) for n in np.unravel_index(int(np.argmin(good)), good.shape))
+        raise ShapeError(f"{name}: expected finite numbers, got {array[at]} at {list(at)}")
+    return array

@@ -15,7 +15,7 @@ from keypose.analysis.limits import human_limits
 from keypose.analysis.quality_feet import FeetTracks, carried_speeds, follow_feet
 from keypose.analysis.quality_takes import TakeDifference, compare_takes
 from keypose.analysis.roles import SIDES, RoleMap, find_roles
-from keypose.arrays import Floats
+from keypose.arrays import Floats, finite
 from keypose.errors import ShapeError
 from keypose.evaluate import match, world_rotations_positions
 from keypose.ik.limits import find_limit_breaks
@@ -153,12 +153,13 @@ def measure_quality(
     pose is none, for the limits of joints.
 
     Raises:
-        ShapeError: where the motion has fewer than two frames.
+        ShapeError: where the motion has fewer than two frames, or a joint is at no place.
 
     Source: foot skate as in Ikemoto et al. (I3D 2006); jerk as the third derivative of joint positions (Flash and Hogan 1985).
     """
     motion = _matched(motion, skeleton)
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
+    finite(places, "places of the motion's joints")
     known, legs, four = _roles_of(skeleton, roles)
     asked = Ground(ground_m) if ground is None and ground_m is not None else ground
     feet = follow_feet(legs, places, motion.rate_hz, ground=asked, touching=touching)

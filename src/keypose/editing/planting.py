@@ -16,7 +16,7 @@ import numpy as np
 from keypose.analysis.contacts import Footing, find_footing
 from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
-from keypose.arrays import Floats
+from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
 from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
 from keypose.editing.planting_paths import FootPath, foot_path
@@ -102,7 +102,7 @@ def plant_feet(
 
     Raises:
         KeyposeError: where a leg has no hip, knee or foot.
-        ShapeError: where flags have other lengths than the motion, or what is to be a loop is none.
+        ShapeError: where flags have other lengths than the motion, what is to be a loop is none, or a joint is at no place.
 
     Source: L. Kovar, J. Schreiner and M. Gleicher, "Footskate cleanup for motion capture editing" (SCA 2002).
     """
@@ -201,6 +201,7 @@ class _Body:
         exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
         self.pose = exact
         self.turned, self.places = (np.asarray(a) for a in world_rotations_positions(skeleton, exact))
+        finite(self.places, "places of the motion's joints")
         self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
         self.leg_m = float(self.legs[0].length[0])
         self.size = self.leg_m / _LEG_M

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from keypose.analysis.roles import RoleMap, find_roles
-from keypose.arrays import Floats
+from keypose.arrays import Floats, finite
 from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import bake, key_rate, match, resample, world_rotations_positions
@@ -71,7 +71,7 @@ def retarget(
 
     Raises:
         KeyposeError: where a skeleton is no humanoid, or only one of the two stands on four feet.
-        ShapeError: where the motion has no frames, the scale is not positive, or a prop has other frames.
+        ShapeError: where the motion has no frames or joints at no place, the scale is not positive, or a prop has other frames.
 
     Source: M. Gleicher, "Retargetting motion to new characters" (SIGGRAPH 1998), for what is to be kept: contacts.
     """
@@ -155,7 +155,7 @@ def _moved(
 
 def _world(skeleton: Skeleton, pose: Pose) -> tuple[Floats, Floats]:
     turned, places = world_rotations_positions(skeleton, pose.broadcast())
-    return np.asarray(turned, np.float64), np.asarray(places, np.float64)
+    return np.asarray(turned, np.float64), finite(np.asarray(places, np.float64), "places of the motion's joints")
 
 
 def _as_motion(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | None) -> Motion:
