@@ -98,8 +98,8 @@ class _Mink:
     """The body as a MuJoCo model of ball joints, whose effectors mink brings to targets by Gauss-Newton steps."""
 
     def __init__(self, parents: Any, offsets: Any, effectors: Any) -> None:
-        import mink
-        import mujoco
+        import mink  # pyright: ignore[reportMissingImports]
+        import mujoco  # pyright: ignore[reportMissingImports]
 
         self._mink, self._threads = mink, _one_thread()
         models: Any = mujoco
@@ -159,7 +159,7 @@ def _one_thread() -> Callable[[], Any]:
     """A context that keeps linear algebra on one thread: small matrices on several take mink up to seven times as long."""
     if not _installed("threadpoolctl"):
         return contextlib.nullcontext
-    from threadpoolctl import ThreadpoolController
+    from threadpoolctl import ThreadpoolController  # pyright: ignore[reportMissingImports]
 
     controller = ThreadpoolController()
     return lambda: controller.limit(limits=1)
