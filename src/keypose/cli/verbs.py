@@ -358,7 +358,7 @@ def skin(
         mesh,
         output,
         skeleton=skeleton,
-        joints=[name.strip() for name in joints.split(",") if name.strip()] if joints else None,
+        joints=None if joints is None else [name.strip() for name in joints.split(",") if name.strip()],
         influences=influences,
         strength=strength,
         dual_quaternion=dual_quaternion,

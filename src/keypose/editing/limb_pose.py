@@ -11,6 +11,7 @@ from keypose.arrays import Floats, Ints
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.ik import rotation_between_frames, solve_limb
+from keypose.ik.chains import turns_between
 from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
@@ -106,7 +107,7 @@ def bend_limb(
     pole = _pole(start, middle, end, turned[:, limb.upper], bend)
     old_normal = np.cross(end - start, pole)
     # The bend turns with the limb.
-    swung = quat.rotate(_between(end - start, goal - start), pole)
+    swung = quat.rotate(turns_between(end - start, goal - start), pole)
     near = (
         start + (goal - start) * _softened(np.linalg.norm(goal - start, axis=-1), upper_m + lower_m, softness)[:, None]
     )
@@ -199,12 +200,3 @@ def _pole(start: Floats, middle: Floats, end: Floats, turned: Floats, bend: Floa
     limit = _STRAIGHT * np.linalg.norm(middle - start, axis=-1, keepdims=True)
     share = np.clip(1.0 - np.linalg.norm(out, axis=-1, keepdims=True) / limit, 0.0, 1.0)
     return out + share * limit * quat.rotate(turned, np.broadcast_to(bend, start.shape))
-
-
-def _between(a: Floats, b: Floats) -> Floats:
-    """The shortest turns that carry directions (F, 3) onto others; none where one has no length."""
-    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    known = lengths > 1e-12
-    axis = np.array([1.0, 0.0, 0.0])
-    a, b = np.where(known[:, None], a, axis), np.where(known[:, None], b, axis)
-    return np.asarray(quat.from_two_vectors(a, b))

@@ -10,7 +10,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
 from keypose.arrays import Floats
-from keypose.editing.planting_paths import FootPath, smooth_over
+from keypose.editing.planting_paths import FootPath, norms, smooth_over
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Skeleton
@@ -46,7 +46,7 @@ class Leg:
     @property
     def length(self) -> Floats:
         """Of both bones together (T,)."""
-        return _norm(self.knee - self.hip) + _norm(self.ankle - self.knee)
+        return norms(self.knee - self.hip) + norms(self.ankle - self.knee)
 
 
 def find_leg(side: str, roles: Mapping[str, int], skeleton: Skeleton, turned: Floats, places: Floats) -> Leg:
@@ -55,20 +55,20 @@ def find_leg(side: str, roles: Mapping[str, int], skeleton: Skeleton, turned: Fl
     hip, knee, ankle = places[:, upper], places[:, lower], places[:, foot]
     pole = _pole(hip, knee, ankle, turned[:, upper], _forward(skeleton, upper, lower, foot))
     line = ankle - hip
-    along = line / np.maximum(_norm(line), 1e-12)[:, None]
+    along = line / np.maximum(norms(line), 1e-12)[:, None]
     pole = pole - along * np.sum(pole * along, axis=-1, keepdims=True)
-    return Leg(upper, lower, foot, hip, knee, ankle, pole / np.maximum(_norm(pole), 1e-12)[:, None])
+    return Leg(upper, lower, foot, hip, knee, ankle, pole / np.maximum(norms(pole), 1e-12)[:, None])
 
 
 def knee_angles(leg: Leg) -> Floats:
     """How far the knee is bent in every frame (T,), radians."""
     thigh, shank = leg.knee - leg.hip, leg.ankle - leg.knee
-    return np.arctan2(_norm(np.cross(thigh, shank)), np.sum(thigh * shank, axis=-1))
+    return np.arctan2(norms(np.cross(thigh, shank)), np.sum(thigh * shank, axis=-1))
 
 
 def reached_angles(leg: Leg, distance: Floats) -> Floats:
     """How far the knee is bent (T,) where the ankle is so far from the hip."""
-    a, b = _norm(leg.knee - leg.hip), _norm(leg.ankle - leg.knee)
+    a, b = norms(leg.knee - leg.hip), norms(leg.ankle - leg.knee)
     return np.arccos(np.clip((distance**2 - a * a - b * b) / np.maximum(2.0 * a * b, 1e-12), -1.0, 1.0))
 
 
@@ -98,10 +98,10 @@ def hips_path(
         system.add_own(along_with, upright, _ACCELERATION_WEIGHT * rate_hz**2)
         for leg, path in zip(legs, paths, strict=True):
             line = leg.ankle + path.shift - leg.hip - shift
-            distance = _norm(line)
+            distance = norms(line)
             along = line / np.maximum(distance, 1e-12)[:, None]
-            before = _norm(leg.ankle - leg.hip)
-            a, b = _norm(leg.knee - leg.hip), _norm(leg.ankle - leg.knee)
+            before = norms(leg.ankle - leg.hip)
+            a, b = norms(leg.knee - leg.hip), norms(leg.ankle - leg.knee)
             bent = np.maximum(np.sin(reached_angles(leg, np.minimum(before, distance))), _LEAST_BENT)
             rate = care * before / np.maximum(a * b * bent, 1e-12)  # radians of the knee for a metre
             change = rate * (distance - before + np.sum(along * shift, axis=-1))
@@ -112,7 +112,7 @@ def hips_path(
     need = np.zeros(frames)
     for leg, path in zip(legs, paths, strict=True):
         far = leg.ankle + path.shift - leg.hip - shift
-        limit = np.maximum(_STRAIGHTEST * leg.length, _norm(leg.ankle - leg.hip))
+        limit = np.maximum(_STRAIGHTEST * leg.length, norms(leg.ankle - leg.hip))
         height = np.sqrt(np.clip(limit**2 - far[:, 0] ** 2 - far[:, 2] ** 2, 0.0, None))
         need = np.maximum(need, np.clip(-far[:, 1] - height, 0.0, 0.3 * leg.length))
     if need.max(initial=0.0) > 1e-9:
@@ -186,11 +186,11 @@ def bend_leg(
     thigh, shank = leg.knee - leg.hip, leg.ankle - leg.knee
     line = leg.ankle - leg.hip
     wanted = leg.ankle + path.shift - leg.hip - hips
-    along = line / np.maximum(_norm(line), 1e-12)[:, None]
+    along = line / np.maximum(norms(line), 1e-12)[:, None]
     hinge = np.cross(leg.bend, along)  # turning about it bends the knee
-    hinge /= np.maximum(_norm(hinge), 1e-12)[:, None]
-    a, b = _norm(thigh), _norm(shank)
-    reach = np.clip(_norm(wanted), np.abs(a - b), a + b)
+    hinge /= np.maximum(norms(hinge), 1e-12)[:, None]
+    a, b = norms(thigh), norms(shank)
+    reach = np.clip(norms(wanted), np.abs(a - b), a + b)
     # thigh . turned shank = across + size cos(angle - start), as the part along the hinge does not turn
     across = np.sum(thigh * hinge, axis=-1) * np.sum(shank * hinge, axis=-1)
     cosine = np.sum(thigh * shank, axis=-1) - across
@@ -212,7 +212,7 @@ def bend_leg(
     if carries:
         over_foot = quat.multiply(whole, over_foot)
     rotations[:, leg.foot] = quat.multiply(quat.conjugate(over_foot), quat.multiply(path.turn, turned[:, leg.foot]))
-    return _norm(wanted - quat.rotate(swing, reached))
+    return norms(wanted - quat.rotate(swing, reached))
 
 
 def _forward(skeleton: Skeleton, upper: int, lower: int, foot: int) -> Floats:
@@ -230,13 +230,9 @@ def _forward(skeleton: Skeleton, upper: int, lower: int, foot: int) -> Floats:
 def _pole(hip: Floats, knee: Floats, ankle: Floats, turned: Floats, forward: Floats) -> Floats:
     """Where the knee is, across the leg; a leg that is nearly straight takes the way it bends at rest (T, 3)."""
     line = ankle - hip
-    along = line / np.maximum(_norm(line), 1e-12)[:, None]
+    along = line / np.maximum(norms(line), 1e-12)[:, None]
     out = (knee - hip) - along * np.sum((knee - hip) * along, axis=-1, keepdims=True)
-    bent = _norm(out)[:, None]
-    limit = 0.03 * _norm(knee - hip)[:, None]
+    bent = norms(out)[:, None]
+    limit = 0.03 * norms(knee - hip)[:, None]
     share = np.clip(1.0 - bent / limit, 0.0, 1.0)
     return out + share * limit * quat.rotate(turned, np.broadcast_to(forward, hip.shape))
-
-
-def _norm(vectors: Floats) -> Floats:
-    return np.sqrt(np.einsum("...i,...i", vectors, vectors))

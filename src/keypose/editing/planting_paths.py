@@ -109,7 +109,7 @@ def _without_sunk_heels(turn: Floats, ball_from_ankle: Floats, flat: float, roll
     line = quat.rotate(turn, ball_from_ankle)
     level = np.hypot(line[:, 0], line[:, 2])
     under = np.where(rolls & known, np.arctan2(line[:, 1], level) - flat, 0.0)
-    under = np.where((under > _HELD_RAD) & (level > 0.1 * _norm(line)), under, 0.0)
+    under = np.where((under > _HELD_RAD) & (level > 0.1 * norms(line)), under, 0.0)
     if not under.any():
         return turn
     across = np.stack([-line[:, 2], np.zeros(len(line)), line[:, 0]], axis=-1) / np.maximum(level, 1e-9)[:, None]
@@ -208,7 +208,8 @@ def bridged(values: Floats, runs: list[tuple[int, int]], blend: float) -> Floats
     return result
 
 
-def _norm(vectors: Floats) -> Floats:
+def norms(vectors: Floats) -> Floats:
+    """Lengths (*B,) of vectors (*B, 3)."""
     return np.sqrt(np.einsum("...i,...i", vectors, vectors))
 
 

@@ -175,7 +175,7 @@ class _Chain:
         """One round of cyclic coordinate descent."""
         for n in range(len(self.chain) - 2, -1, -1):
             here = self.places[rows, n]
-            turn = _between(self.places[rows, -1] - here, self.target[rows] - here)
+            turn = turns_between(self.places[rows, -1] - here, self.target[rows] - here)
             if damping_rad < np.pi:
                 angle = quat.angle_between(np.broadcast_to([1.0, 0.0, 0.0, 0.0], turn.shape), turn)
                 turn = quat.power(turn, np.minimum(1.0, damping_rad / np.maximum(angle, 1e-12)))
@@ -196,7 +196,7 @@ class _Chain:
             points[:, n + 1] = points[:, n] + _along(way, lengths[:, n])
         for n in range(len(self.chain) - 1):
             here = self.places[rows, n]
-            self.turn(rows, n, _between(self.places[rows, n + 1] - here, points[:, n + 1] - here))
+            self.turn(rows, n, turns_between(self.places[rows, n + 1] - here, points[:, n + 1] - here))
 
     def turn(self, rows: np.ndarray, n: int, turn: Floats) -> None:
         """Turn joint n of some poses in the model's space, as far as its limit allows; everything below follows."""
@@ -232,7 +232,7 @@ class _Chain:
         )
 
 
-def _between(a: Floats, b: Floats) -> Floats:
+def turns_between(a: Floats, b: Floats) -> Floats:
     """The shortest turns (N, 4) from directions to directions; none where one of them is no direction."""
     la, lb = (np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
     lost = (la < 1e-12) | (lb < 1e-12)

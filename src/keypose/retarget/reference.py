@@ -13,6 +13,7 @@ from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion, Skeleton
+from keypose.retarget.report import angles_deg
 
 GROUPS: Mapping[str, tuple[tuple[str, str], ...]] = {
     "arms": tuple(
@@ -101,7 +102,7 @@ def compare_with_reference(
 
     def error(shift: int) -> float:
         a, b = pair_up(shift, limbs)
-        return float(_angles(a, _turned(b, _heading(a, b))).mean())
+        return float(angles_deg(a, _turned(b, _heading(a, b))).mean())
 
     best = min(shifts, key=lambda n: (error(n), abs(n)))
     heading = _heading(*pair_up(best, limbs))
@@ -110,7 +111,7 @@ def compare_with_reference(
     for group, pairs in bones.items():
         if pairs:
             a, b = pair_up(best, pairs)
-            angles = _angles(a, _turned(b, heading))
+            angles = angles_deg(a, _turned(b, heading))
             found[group] = float(angles.mean())
             every.append(angles.mean(axis=0))
     own, other = _frames(motion, reference, best)
@@ -155,7 +156,3 @@ def _turned(ways: Floats, heading: float) -> Floats:
     sine, cosine = np.sin(heading), np.cos(heading)
     x, y, z = ways[..., 0], ways[..., 1], ways[..., 2]
     return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
-
-
-def _angles(a: Floats, b: Floats) -> Floats:
-    return np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))

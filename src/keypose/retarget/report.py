@@ -81,7 +81,7 @@ def compare_motions(
             theirs, mine = (_way(body, *at, low, high) for body, at in ((own, (r, a)), (other, (s, b))))
             if low in ("hips", "neck"):
                 theirs = _built_alike(own, r, theirs, other, low, high)
-            directions[low] = float(np.mean(_angles(theirs, mine)))
+            directions[low] = float(np.mean(angles_deg(theirs, mine)))
     feet = footings(own, other, a, source.rate_hz, options, touching)
     speeds = np.concatenate([carried_speeds(f.other, b, f.touching, target.rate_hz) for f in feet])
     theirs = np.concatenate([carried_speeds(f.own, a, f.touching, source.rate_hz) for f in feet])
@@ -130,7 +130,7 @@ def _built_alike(own: BodyFrames, turned: Floats, way: Floats, other: BodyFrames
     return quat.rotate(quat.multiply(quat.multiply(hips, alike), quat.conjugate(hips)), way)
 
 
-def _angles(a: Floats, b: Floats) -> Floats:
+def angles_deg(a: Floats, b: Floats) -> Floats:
     """Degrees between vectors (T, 3), accurate for small angles."""
     a = a / np.maximum(np.linalg.norm(a, axis=-1, keepdims=True), 1e-12)
     b = b / np.maximum(np.linalg.norm(b, axis=-1, keepdims=True), 1e-12)
