@@ -51,7 +51,9 @@ def test_a_motion_on_controls_is_the_motion_again(name: str) -> None:
     assert np.abs(places(skeleton, baked.pose) - places(skeleton, motion.pose)).max() < 2e-6
 
 
-def test_the_figures_of_a_fit_are_those_of_its_clip() -> None:
+@pytest.mark.parametrize("span", [1024, 16], ids=["at once", "in pieces"])
+def test_the_figures_of_a_fit_are_those_of_its_clip(monkeypatch: pytest.MonkeyPatch, span: int) -> None:
+    monkeypatch.setattr("keypose.rig.fitting._SPAN", span)
     skeleton, motion = performance("walk")
     rng = np.random.default_rng(3)
     # bones that grow and shrink: FK follows them, IK by the lengths that the clip keeps
@@ -64,6 +66,7 @@ def test_the_figures_of_a_fit_are_those_of_its_clip() -> None:
     apart_m = np.linalg.norm(places(skeleton, baked.pose) - places(skeleton, motion.pose), axis=-1).max()
     assert apart_m < 1e-5
     assert abs(apart_m - fit.error_m) < 1e-5
+    assert max(fit.fk_error_m, fit.ik_error_m) < 1e-6
 
 
 def test_controls_that_were_posed_come_back_as_poses() -> None:

@@ -38,6 +38,8 @@ from keypose.rig.state import State
 
 # Differences of rounding are no keys.
 _NOTHING = 1e-9
+# Frames that are compared at once, so that long motions do not fill the memory.
+_SPAN = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +88,7 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
         for name, value in state.values.items()
         if name in {a.name for a in rig.attributes}
     }
+    del state  # of a long motion it is large
     passive = _passive(rig, skeleton, base)
     clip = Clip(
         {
@@ -256,8 +259,16 @@ def _difference(
     want: tuple[Array, Array],
 ) -> tuple[Floats, Floats]:
     """Distances and angles between joints as the rig has them and as they are wanted, (T, J)."""
-    turned, places = world_rotations_positions(skeleton, solve_rig(rig, skeleton, controls, values, base).pose)
-    return np.sqrt(np.sum((places - want[1]) ** 2, axis=-1)), np.asarray(quat.angle_between(turned, want[0]))
+    distances, angles = list[Floats](), list[Floats]()
+    frames = len(base.rotations)
+    for first in range(0, frames, _SPAN):
+        span = slice(first, min(first + _SPAN, frames))
+        own = {name: v[span] if np.ndim(v) else v for name, v in values.items()}
+        pose = solve_rig(rig, skeleton, controls[span], own, base[span]).pose
+        turned, places = world_rotations_positions(skeleton, pose)
+        distances.append(np.sqrt(np.sum((places - want[1][span]) ** 2, axis=-1)))
+        angles.append(np.asarray(quat.angle_between(turned, want[0][span])))
+    return np.concatenate(distances), np.concatenate(angles)
 
 
 def _passive(rig: Rig, skeleton: Skeleton, base: Pose) -> Pose:
