@@ -113,6 +113,7 @@ def test_what_is_not_finite_is_told_with_its_place() -> None:
     from keypose.analysis import find_roles, measure_quality
     from keypose.editing.planting import plant_feet
     from keypose.retarget import retarget
+    from keypose.rig import auto_rig, fit_controls
 
     with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
         measure_quality(damaged, body)
@@ -120,3 +121,5 @@ def test_what_is_not_finite_is_told_with_its_place() -> None:
         plant_feet(damaged, body, find_roles(body).roles)
     with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
         retarget(damaged, body, body)
+    with pytest.raises(ShapeError, match=r"rotations of the motion: .* got nan at \[30, 5, 1\]"):
+        fit_controls(auto_rig(body), body, damaged)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Array, Floats
+from keypose.arrays import Array, Floats, finite
 from keypose.errors import ShapeError
 from keypose.evaluate import match, world_rotations_positions
 from keypose.math import quat
@@ -72,13 +72,15 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
     spine's IK. The motion is matched to the skeleton by name.
 
     Raises:
-        ShapeError: where the rig does not fit the skeleton, or the motion has no frames.
+        ShapeError: where the rig does not fit the skeleton, or the motion has no frames or numbers that are not finite.
         UnknownName: where a value is no attribute.
     """
     if motion.frame_count == 0:
         raise ShapeError("motion: expected at least one frame")
     motion = match(motion, skeleton)
     base = _double(motion.pose.broadcast())
+    finite(base.translations, "translations of the motion")
+    finite(base.rotations, "rotations of the motion")
     state, _ = begin(rig, skeleton, None, values, base)
     _fit(state)
     controls = _control_pose(state, rig.controls, (motion.frame_count,))
