@@ -121,5 +121,5 @@ def test_what_is_not_finite_is_told_with_its_place() -> None:
         plant_feet(damaged, body, find_roles(body).roles)
     with pytest.raises(ShapeError, match=r"finite numbers, got nan at \[30"):
         retarget(damaged, body, body)
-    with pytest.raises(ShapeError, match=r"rotations of the motion: .* got nan at \[30, 5, 1\]"):
+    with pytest.raises(ShapeError, match=r"rotations of the motion: .* got nan at \[30, 5"):
         fit_controls(auto_rig(body), body, damaged)
