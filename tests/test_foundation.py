@@ -111,7 +111,11 @@ def test_what_is_not_finite_is_told_with_its_place() -> None:
     turned[30, 5, 1] = np.nan
     damaged = replace(motion, pose=replace(motion.pose, rotations=turned))
     from keypose.analysis import find_roles, measure_quality
+    from keypose.editing.constraints import Place
+    from keypose.editing.paths import extract_path
     from keypose.editing.planting import plant_feet
+    from keypose.editing.reach import Reach, reach
+    from keypose.editing.spacetime import solve_spacetime
     from keypose.retarget import retarget
     from keypose.rig import auto_rig, fit_controls
 
@@ -123,3 +127,15 @@ def test_what_is_not_finite_is_told_with_its_place() -> None:
         retarget(damaged, body, body)
     with pytest.raises(ShapeError, match=r"rotations of the motion: .* got nan at \[30, 5"):
         fit_controls(auto_rig(body), body, damaged)
+    told = r"rotations of the motion: .* got nan at \[30, 5, 1\]"
+    with pytest.raises(ShapeError, match=told):
+        reach(damaged, body, [Reach("left_hand", 10, offset=(0, 0.1, 0))])
+    with pytest.raises(ShapeError, match=told):
+        solve_spacetime(damaged, body, (0, 20), [Place("left_hand", np.array([10]), (0.3, 1.2, 0.2))])
+    with pytest.raises(ShapeError, match=told):
+        extract_path(damaged, body)
+    endless = np.array(motion.pose.broadcast().translations)
+    endless[4, 0, 2] = np.inf
+    far = replace(motion, pose=replace(motion.pose, translations=endless))
+    with pytest.raises(ShapeError, match=r"translations of the motion: .* got inf at \[4, 0, 2\]"):
+        extract_path(far, body)

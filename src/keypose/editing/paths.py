@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from keypose.arrays import Floats, checked
 from keypose.editing.displacement import fit_displacement
 from keypose.editing.planting import plant_feet
-from keypose.editing.reach import found_roles
+from keypose.editing.reach import check_finite, found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_morphs, sample_motion, world_rotations_positions
 from keypose.math import quat
@@ -87,9 +87,10 @@ def extract_path(
     ``smooth_s`` is about the time of a step, so that the sway of walking is left out; both ends go on straight for it.
 
     Raises:
-        ShapeError: where the motion does not fit the skeleton or the time is negative.
+        ShapeError: where the motion does not fit the skeleton, has numbers that are not finite, or the time is negative.
     """
     checked(motion.pose.rotations, (..., skeleton.joint_count, 4), "rotations", "the skeleton")
+    check_finite(motion)
     if not (np.isfinite(smooth_s) and smooth_s >= 0):
         raise ShapeError(f"smooth_s: expected 0 or more seconds, got {smooth_s}")
     known = found_roles(skeleton) if roles is None else roles

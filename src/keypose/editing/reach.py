@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Array, Floats, Ints, checked
+from keypose.arrays import Array, Floats, Ints, checked, finite
 from keypose.editing.displacement import displace, fit_displacement, rotation_change
 from keypose.editing.limb_pose import LimbJoints, bend_direction, bend_limb, keep_ends, limb_above, path_up
 from keypose.errors import ShapeError, UnknownName
@@ -151,13 +151,15 @@ def reach(
 
     Raises:
         UnknownName: for a joint that is not there.
-        ShapeError: where frames lie outside the motion, or two constraints want the same limb in the same frame.
+        ShapeError: where frames lie outside the motion, two constraints want the same limb in the same frame, or the motion has
+            numbers that are not finite.
 
     Source: J. Lee and S. Y. Shin, "A hierarchical approach to interactive motion editing for human-like figures"
     (SIGGRAPH 1999).
     """
     if not (np.isfinite(ease_s) and ease_s >= 0):
         raise ShapeError(f"ease_s: expected 0 or more seconds, got {ease_s}")
+    check_finite(motion)
     ease = max(2, round(ease_s * motion.rate_hz))
     known = _roles(skeleton, roles)
     goals = [_goal(r, motion, skeleton, known) for r in reaches]
@@ -200,6 +202,12 @@ def joint_of(skeleton: Skeleton, name: str, roles: Mapping[str, int]) -> int:
     if name in roles:
         return roles[name]
     raise UnknownName("joint or role", name, (*skeleton.names, *roles))
+
+
+def check_finite(motion: Motion) -> None:
+    """Refuse a motion with a number that is not finite, by a `ShapeError` that says where; one would spread over all frames."""
+    for name in ("translations", "rotations", "scales"):
+        finite(getattr(motion.pose, name), f"{name} of the motion")
 
 
 def changed_frames(before: Motion, after: Motion) -> np.ndarray:

@@ -26,7 +26,7 @@ from keypose.editing.constraints import (
     right_jacobian,
 )
 from keypose.editing.displacement import displace, knot_weights
-from keypose.editing.reach import REACHED_M, found_roles, joint_of
+from keypose.editing.reach import REACHED_M, check_finite, found_roles, joint_of
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.ik import JointLimit, clamp_rotation
@@ -107,7 +107,8 @@ def solve_spacetime(
 
     Raises:
         UnknownName: for a joint that is not there.
-        ShapeError: where frames or shapes do not fit, or the window is shorter than four knots.
+        ShapeError: where frames or shapes do not fit, the window is shorter than four knots, or the motion has numbers that are
+            not finite.
 
     Source: M. Gleicher, "Motion editing with spacetime constraints" (I3D 1997), and "Retargetting motion to new characters"
     (SIGGRAPH 1998), section 4: the change is a spline, and what it changes least is sought.
@@ -131,6 +132,7 @@ class SpacetimeProblem:
         options: SpacetimeOptions,
     ) -> None:
         checked(motion.pose.rotations, (..., skeleton.joint_count, 4), "rotations", "the skeleton")
+        check_finite(motion)
         first, last = window
         if not 0 <= first < last < motion.frame_count:
             raise ShapeError(f"window: expected two rising frames from 0 to {motion.frame_count - 1}, got {window}")
