@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -81,3 +83,39 @@ def test_a_take_beside_one_of_another_skeleton(data_dir: Path) -> None:
     assert done.returncode == 0, done.stderr
     direction = json.loads(done.stdout)["quality"][0]["direction"]
     assert direction["direction_deg"]["arms"] < 2.0 and direction["mean_direction_deg"] < 8.0
+
+
+@pytest.mark.parametrize(
+    ("words", "label"),
+    [
+        (("clean", "sample:walk", "{0}/out.bvh"), "planting feet"),
+        (("retarget", "sample:walk", "{0}/out.glb", "--to", "sample:human"), "retargeting"),
+        (("rig", "sample:human", "{0}/out.keypose", "--motion", "sample:walk"), "fitting controls"),
+    ],
+)
+def test_a_terminal_sees_progress_and_nobody_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], label: str
+) -> None:
+    from typer.testing import CliRunner
+
+    from keypose.cli import console
+    from keypose.cli.app import app
+
+    shown: dict[str, list[tuple[int, int]]] = {}
+    quietly: list[bool] = []
+
+    @contextmanager
+    def watched(label: str, *, quiet: bool = False) -> Generator[console.Progress]:
+        quietly.append(quiet)
+        yield lambda done, total: shown.setdefault(label, []).append((done, total))
+
+    for verb in ("clean", "retarget", "rig"):
+        monkeypatch.setattr(f"keypose.cli.{verb}.progress_bar", watched)
+    line = [word.format(tmp_path) for word in words]
+    for more in ([], ["-q"]):
+        done = CliRunner().invoke(app, [*line, *more], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+    assert quietly == [False, True]
+    calls = shown[label][: len(shown[label]) // 2]
+    shares = [done / total for done, total in calls]
+    assert len(calls) > 3 and shares == sorted(shares) and shares[-1] == 1.0

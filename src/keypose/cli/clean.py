@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from keypose.cli.console import console
+from keypose.cli.console import console, progress_bar
 from keypose.cli.inputs import file_word, motion_of, open_input, read_roles
 from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError, KeyposeError, ShapeError
@@ -76,7 +76,8 @@ def clean_file(
     asked = PlantOptions(
         ground=_ground(ground, character, known), level_feet=level_feet, hips=cast("HipsMode", hips), loop=loop
     )
-    done = plant_feet(motion, body, known, options=asked)
+    with progress_bar("planting feet", quiet=quiet) as progress:
+        done = plant_feet(motion, body, known, options=asked, progress=progress)
     made = done.motion
     if floor_m is not None:
         made = put_on_floor(made, body, done.footing, floor_m + _sole_m(character, known))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from keypose.cli.console import console
+from keypose.cli.console import console, progress_bar
 from keypose.cli.inputs import baked, file_word, open_input, read_roles
 from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError, ShapeError
@@ -18,6 +18,13 @@ from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
     from keypose.retarget import Prop, RetargetResult
+
+# Where bones are further off on average, a reference pose that is no stand is the usual cause.
+_FAR_OFF_DEG = 5.0
+_FAR_OFF_HINT = (
+    "the bones' directions are far off: a reference pose may be no stand; name frames that stand upright with "
+    "--target-reference FRAME or FILE:FRAME (--source-reference for the motion's)"
+)
 
 
 def retarget_file(
@@ -68,29 +75,32 @@ def retarget_file(
     if theirs is not None and not (theirs.characters and theirs.animations):
         raise FormatError("it has no skeleton with a motion", path=against)
     source, target = performed.character, cast.character
-    own = next((a for a in cast.animations if isinstance(a, Motion) and a.joint_names == target.skeleton.names), None)
     target_map = _roles(target_roles, target.skeleton, target.roles)
     stand, stand_note = _stand(cast, target_map, target_reference, character)
-    result = retarget(
-        animation,
-        source.skeleton,
-        target.skeleton,
-        source_roles=_roles(source_roles, source.skeleton, source.roles),
-        target_roles=target_map,
-        source_reference=None if source_reference is None else _reference(performed, source_reference, motion),
-        target_reference=stand,
-        target_motion=own,
-        target_ground_m=ground_under(target, stand),
-        rate_hz=rate_hz,
-        scale=scale,
-        plant=PlantOptions() if plant else None,
-        hands=held,
-    )
+    with progress_bar("retargeting", quiet=quiet) as progress:
+        result = retarget(
+            animation,
+            source.skeleton,
+            target.skeleton,
+            source_roles=_roles(source_roles, source.skeleton, source.roles),
+            target_roles=target_map,
+            source_reference=None if source_reference is None else _reference(performed, source_reference, motion),
+            target_reference=stand,
+            target_motion=_own_motion(cast) if stand is None else None,
+            target_ground_m=ground_under(target, stand),
+            rate_hz=rate_hz,
+            scale=scale,
+            plant=PlantOptions() if plant else None,
+            hands=held,
+            progress=progress,
+        )
     scene = Scene((target,), (replace(result.motion, name=animation.name or Path(motion).stem),), unit_m=cast.unit_m)
+    beside = [] if theirs is None or quiet else _compared(result, target.skeleton, theirs)
     notes = [*result.notes, *stand_note, *write_scene(scene, output, quiet=quiet)]
     if quiet:
         return
-    beside = [] if theirs is None else _compared(result, target.skeleton, theirs)
+    if result.report.mean_direction_deg > _FAR_OFF_DEG:
+        notes.append(_FAR_OFF_HINT)
     facts = f"{file_word(result.motion.frame_count, 'frame')} at {result.motion.rate_hz:g} Hz"
     print_written(output, facts, notes, [*result.report.lines(), *beside])
 
@@ -124,6 +134,17 @@ def _stand(cast: Scene, roles: RoleMap | None, asked: str | None, name: str) -> 
     bound = None if found.missing else bind_stand(character, found.roles)
     said = "target: the rest pose is no upright stand; the pose in which the skin was bound is taken for one"
     return bound, () if bound is None else (said,)
+
+
+def _own_motion(cast: Scene) -> Motion | None:
+    """A motion of the target's own in frames, None where its file has none."""
+    skeleton = cast.character.skeleton
+    for animation in cast.animations:
+        if isinstance(animation, Motion) and animation.joint_names == skeleton.names:
+            return animation
+        if isinstance(animation, Clip) and animation.duration_s > 0:
+            return baked(animation, skeleton)
+    return None
 
 
 def _reference(scene: Scene, asked: str, name: str) -> Pose:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from keypose.cli.console import console
+from keypose.cli.console import console, progress_bar
 from keypose.cli.inputs import baked, file_word, open_input, read_roles
 from keypose.cli.output import check_output, print_written
 from keypose.errors import FormatError
@@ -56,14 +56,20 @@ def rig_file(
         return
     fit, notes = None, tuple[str, ...]()
     if motion is not None:
-        fit, notes = _fitted(rig, who, motion, clip, rate_hz, skeleton)
+        fit, notes = _fitted(rig, who, motion, clip, rate_hz, skeleton, quiet or as_json)
     _save(rig, who, cast, fit, output)
     if not (quiet or as_json):
         _report(rig, fit, notes, output)
 
 
 def _fitted(
-    rig: Rig, who: Character, motion: str, clip: str | None, rate_hz: float | None, skeleton: str | None
+    rig: Rig,
+    who: Character,
+    motion: str,
+    clip: str | None,
+    rate_hz: float | None,
+    skeleton: str | None,
+    quiet: bool,
 ) -> tuple[RigFit, tuple[str, ...]]:
     """A motion on the controls; one of another skeleton is retargeted first."""
     from keypose import evaluate
@@ -79,14 +85,17 @@ def _fitted(
     if len(own & moved) < 0.5 * len(moved) and performed.characters:
         from keypose.retarget import retarget
 
-        done = retarget(animation, performed.character.skeleton, who.skeleton, rate_hz=rate_hz)
+        with progress_bar("retargeting", quiet=quiet) as progress:
+            done = retarget(animation, performed.character.skeleton, who.skeleton, rate_hz=rate_hz, progress=progress)
         notes = ("its joints have other names; it was retargeted", *done.notes)
         frames = replace(done.motion, name=animation.name)
     elif isinstance(animation, Clip):
         frames = baked(animation, who.skeleton, rate_hz)
     else:
         frames = animation if rate_hz is None else evaluate.resample(animation, rate_hz)
-    return fit_controls(rig, who.skeleton, replace(frames, name=frames.name or Path(motion).stem)), notes
+    frames = replace(frames, name=frames.name or Path(motion).stem)
+    with progress_bar("fitting controls", quiet=quiet) as progress:
+        return fit_controls(rig, who.skeleton, frames, progress=progress), notes
 
 
 def _save(rig: Rig, who: Character, cast: Scene, fit: RigFit | None, output: Path) -> None:

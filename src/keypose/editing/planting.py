@@ -7,7 +7,7 @@ ends. Hips come along where a knee would have to jump.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,7 +18,7 @@ from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
-from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
+from keypose.editing.planting_legs import LEG_M, bend_leg, find_leg, hips_path, knee_angles, reached_angles
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -26,9 +26,9 @@ from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
 Touching = Mapping[str, np.ndarray]
+Progress = Callable[[int, int], None]
 HipsMode = Literal["free", "upright", "still"]
 
-_LEG_M = 0.85
 _ROUNDS = 24  # of planting and looking again; almost always two or three are enough
 _SINK_M, _SINK_KNOWN_M = 0.01, 0.0005  # how far feet in the air may go under a ground that is guessed, or known
 _KNEE_LIMIT = 1.4  # times the largest angular acceleration of a knee that there was
@@ -92,6 +92,7 @@ def plant_feet(
     touching: Touching | None = None,
     heights: Floats | None = None,
     options: PlantOptions = PlantOptions(),
+    progress: Progress | None = None,
 ) -> PlantResult:
     """A motion whose feet do not slide while they touch the ground; planted once, it is left as it is.
 
@@ -99,6 +100,7 @@ def plant_feet(
     the height of every joint where it stands on the ground (if not given, where feet stand in this motion).
 
     Contacts that were not given are looked for again in the planted motion, and what is new is planted too, until nothing is.
+    ``progress`` is called with (steps done, steps in all); steps are added where that takes more rounds than usual.
 
     Raises:
         KeyposeError: where a leg has no hip, knee or foot.
@@ -114,8 +116,10 @@ def plant_feet(
         for point, flags in touching.items():
             if np.shape(flags) != (motion.frame_count,):
                 raise ShapeError(f"touching['{point}']: expected {motion.frame_count} flags, got {np.shape(flags)}")
-    before = _Body(motion, skeleton, roles)
-    cycle = find_cycle(motion, skeleton, before.turned, before.places) if options.loop else None
+    # contacts that are given are planted once, others twice and looked at a third time, as a rule
+    steps = _Steps(progress, 5 if touching is not None else 14)
+    before = _Body(motion, skeleton, roles, steps)
+    cycle = find_cycle(motion, skeleton, before.turned, before.places, before.size) if options.loop else None
     if options.loop and (cycle is None or touching is not None):
         why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
         raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: {why}")
@@ -123,7 +127,9 @@ def plant_feet(
         result = _planted_once(before, touching, heights, options)
     else:
         result = _planted_round(before, cycle, heights, options)
-    return replace(result, knee_ratio=before.ratio(result.motion))
+    ratio = before.ratio(result.motion)
+    steps.end()
+    return replace(result, knee_ratio=ratio)
 
 
 def _planted_once(
@@ -137,7 +143,7 @@ def _planted_once(
         return before.planted(replace(footing, touching=flags), options, heights)
     result = before.planted(footing, options, heights)
     for _ in range(_ROUNDS):
-        after = _Body(result.motion, before.skeleton, before.roles)
+        after = _Body(result.motion, before.skeleton, before.roles, before.steps)
         again = after.look(options, heights)
         if not any(path.moves for path in after.paths(again, options, heights)):
             return replace(result, footing=again, settled=True)
@@ -159,7 +165,7 @@ def _planted_round(body: _Body, cycle: Cycle, heights: Floats | None, options: P
     moved, away, short, made = np.zeros(motion.frame_count), np.zeros(motion.frame_count), 0.0, motion
     rounds = _ROUNDS
     while True:
-        long = _planted_once(_Body(unroll(made, skeleton, cycle), skeleton, roles), None, heights, options)
+        long = _planted_once(_Body(unroll(made, skeleton, cycle), skeleton, roles, body.steps), None, heights, options)
         footing = replace(
             long.footing,
             points={p: track[middle] for p, track in long.footing.points.items()},
@@ -192,11 +198,30 @@ def put_on_floor(motion: Motion, skeleton: Skeleton, footing: Footing, height_m:
     return replace(motion, pose=Pose(translations, pose.rotations, pose.scales))
 
 
+@dataclass(slots=True)
+class _Steps:
+    """What is done and what is expected to be, told to who wants to know."""
+
+    show: Progress | None
+    total: int
+    done: int = 0
+
+    def take(self) -> None:
+        self.done += 1
+        self.total = max(self.total, self.done + 1)
+        if self.show is not None:
+            self.show(self.done, self.total)
+
+    def end(self) -> None:
+        if self.show is not None:
+            self.show(self.total, self.total)
+
+
 class _Body:
     """A motion's legs in the model's space."""
 
-    def __init__(self, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> None:
-        self.motion, self.skeleton, self.roles = motion, skeleton, roles
+    def __init__(self, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], steps: _Steps) -> None:
+        self.motion, self.skeleton, self.roles, self.steps = motion, skeleton, roles, steps
         pose = motion.pose.broadcast()
         exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
         self.pose = exact
@@ -204,7 +229,7 @@ class _Body:
         finite(self.places, "places of the motion's joints")
         self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
         self.leg_m = float(self.legs[0].length[0])
-        self.size = self.leg_m / _LEG_M
+        self.size = self.leg_m / LEG_M
 
     def look(self, options: PlantOptions, heights: Floats | None) -> Footing:
         """Where feet stand."""
@@ -217,6 +242,7 @@ class _Body:
             speed_m_s=options.speed_m_s,
             ground=options.ground,
         )
+        self.steps.take()
         return footing if heights is None else self._stood(footing, heights)
 
     def _stood(self, footing: Footing, heights: Floats) -> Footing:
@@ -246,6 +272,7 @@ class _Body:
             found.append(
                 foot_path(side, footing, leg.ankle, turned, ball, self.size, options.blend_s, options.level_feet, sink)
             )
+        self.steps.take()
         return found
 
     def planted(self, footing: Footing, options: PlantOptions, heights: Floats | None) -> PlantResult:
@@ -258,6 +285,7 @@ class _Body:
         hips = np.zeros((frames, 3))
         if options.hips != "still":
             hips = self._hips(paths, options.hips == "upright")
+        self.steps.take()
         rotations = np.array(self.pose.rotations)
         short = 0.0
         for leg, path in zip(self.legs, paths, strict=True):
@@ -265,6 +293,7 @@ class _Body:
                 hangs = leg.upper in self._above(leg.foot)
                 missed = bend_leg(leg, self.skeleton, self.turned, hips, path, rotations, hangs)
                 short = max(short, float(missed[path.held].max(initial=0.0)))
+            self.steps.take()
         translations = np.array(self.pose.translations)
         joint = self._carrier()
         translations[:, joint] += self._under(int(self.skeleton.parents[joint]), hips)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,10 @@ from keypose.retarget.report import RetargetReport, compare_motions
 from keypose.retarget.stand import find_stand
 
 Roles = RoleMap | Mapping[str, int]
+Progress = Callable[[int, int], None]
+
+# Percent that are done when contacts are found, bones turned, feet planted, hands kept; shares of the time, about.
+_FOUND, _POSED, _PLANTED, _MOVED = 10, 30, 90, 95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +58,7 @@ def retarget(
     plant: PlantOptions | None = PlantOptions(),
     hands: HandOptions | None = None,
     rate_hz: float | None = None,
+    progress: Progress | None = None,
 ) -> RetargetResult:
     """A motion of one body on another, by the roles of their joints: humanoids, or animals on all fours with maps of roles.
 
@@ -67,7 +72,7 @@ def retarget(
     upright where they lie; where a rest pose is no stand at all, `find_stand` looks for one in the motion (in ``target_motion``,
     any motion that the target has, for the target). A note says so. `bind_stand` has the pose that a skin was bound in.
     ``target_ground_m``: height of the ground under the target in its reference pose (`ground_under`), if its lowest joint is
-    not it.
+    not it. ``progress`` is called with (percent done, 100).
 
     Raises:
         KeyposeError: where a skeleton is no humanoid, or only one of the two stands on four feet.
@@ -105,7 +110,8 @@ def retarget(
         other = body_frames(attached.skeleton, attached.roles(maps[1]), stand, target_ground_m, only=shared)
     if own.on_all_fours != other.on_all_fours:
         raise KeyposeError("one body stands on four feet and the other on two; that motion cannot be taken over")
-    moved, feet, own = _moved(motion, own, other, scale, plant)
+    show = progress or _silent
+    moved, feet, own = _moved(motion, own, other, scale, plant, show)
     off_m = None
     if hands is not None:
         turned, places = _world(source, motion.pose)
@@ -114,16 +120,23 @@ def retarget(
         moved, off_m = held.pose, held.off_m
     if attached is not None:
         moved = attached.pose_out(moved)
+    show(_MOVED, 100)
     result = replace(motion, joint_names=target.names, pose=moved)
     touching = all_touching(feet)
     report = compare_motions(motion, own, result, whole, plant or PlantOptions(), touching)
     if off_m is not None:
         report = replace(report, hands_off_cm=100.0 * float(off_m.mean()) if len(off_m) else 0.0)
+    show(100, 100)
     return RetargetResult(result, report, own, whole, touching, tuple(notes))
 
 
 def _moved(
-    motion: Motion, own: BodyFrames, other: BodyFrames, scale: float | None, plant: PlantOptions | None
+    motion: Motion,
+    own: BodyFrames,
+    other: BodyFrames,
+    scale: float | None,
+    plant: PlantOptions | None,
+    show: Progress,
 ) -> tuple[Pose, list[Footing], BodyFrames]:
     """The target's pose with its feet planted, when they touch the ground, and the source with level feet."""
     turned, places = _world(own.skeleton, motion.pose)
@@ -131,6 +144,7 @@ def _moved(
     feet = footings(own, other, places, motion.rate_hz, options)
     if not own.on_all_fours:
         own = levelled(own, turned, feet[0].touching)
+    show(_FOUND, 100)
     model = model_rotations(own, other, turned)
     hips = hips_path(own, other, turned, places, model, other.leg_m / own.leg_m if scale is None else float(scale))
     moved = as_pose(other, model, hips)
@@ -139,8 +153,9 @@ def _moved(
     if np.any(up):
         hips[:, 1] += up
         moved = as_pose(other, model, hips)
+    show(_POSED, 100)
     if plant is not None:
-        for pair in feet:
+        for n, pair in enumerate(feet):
             shell = Motion(other.skeleton.names, moved, motion.rate_hz)
             moved = plant_feet(
                 shell,
@@ -149,8 +164,18 @@ def _moved(
                 touching=pair.touching,
                 heights=other.places[:, 1],
                 options=plant if pair.hind else replace(plant, hips="still"),
+                progress=_part(show, n / len(feet), 1 / len(feet)),
             ).motion.pose
     return moved, feet, own
+
+
+def _part(show: Progress, begin: float, share: float) -> Progress:
+    """A function for the progress of one pair of feet, of all that are planted."""
+    return lambda done, total: show(round(_POSED + (_PLANTED - _POSED) * (begin + share * done / total)), 100)
+
+
+def _silent(done: int, total: int) -> None:
+    """Nobody wants to know."""
 
 
 def _world(skeleton: Skeleton, pose: Pose) -> tuple[Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -36,6 +36,8 @@ from keypose.rig.plan import CONTROL
 from keypose.rig.solve import begin, run, solve_rig
 from keypose.rig.state import State
 
+Progress = Callable[[int, int], None]
+
 # Differences of rounding are no keys.
 _NOTHING = 1e-9
 # Frames that are compared at once, so that long motions do not fill the memory.
@@ -64,12 +66,20 @@ class RigFit:
     worst: str
 
 
-def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[str, float] | None = None) -> RigFit:
+def fit_controls(
+    rig: Rig,
+    skeleton: Skeleton,
+    motion: Motion,
+    values: Mapping[str, float] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> RigFit:
     """Keys on controls that reproduce a motion of the joints, on the FK and on the IK side, so that switching does not jump.
 
     ``values`` sets attributes for the whole of it, such as switches and spaces. FK is exact; IK places the ends and the
     middle of limbs exactly, and turns their bones by the twist attributes; joints between hips and chest may differ with the
     spine's IK. The motion is matched to the skeleton by name.
+    ``progress`` is called with (steps done, steps in all).
 
     Raises:
         ShapeError: where the rig does not fit the skeleton, or the motion has no frames or numbers that are not finite.
@@ -81,8 +91,17 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
     base = _double(motion.pose.broadcast())
     finite(base.translations, "translations of the motion")
     finite(base.rotations, "rotations of the motion")
+    done, steps = 0, 2 + 3 * len(range(0, motion.frame_count, _SPAN))
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, steps)
+
     state, _ = begin(rig, skeleton, None, values, base)
     _fit(state)
+    step()
     controls = _control_pose(state, rig.controls, (motion.frame_count,))
     controls = Pose(controls.translations, quat.align_signs(controls.rotations), controls.scales)
     found = {
@@ -102,11 +121,12 @@ def fit_controls(rig: Rig, skeleton: Skeleton, motion: Motion, values: Mapping[s
         motion.name,
         motion.rate_hz,
     )
+    step()
     want = world_rotations_positions(skeleton, base)
-    distance, angle = _difference(rig, skeleton, controls, found, passive, want)
+    distance, angle = _difference(rig, skeleton, controls, found, passive, want, step)
     joint = int(np.argmax(distance.max(axis=0))) if distance.size else 0
     sides = [
-        float(_difference(rig, skeleton, controls, found | _switched(rig, to), passive, want)[0].max(initial=0.0))
+        float(_difference(rig, skeleton, controls, found | _switched(rig, to), passive, want, step)[0].max(initial=0.0))
         for to in (0.0, 1.0)
     ]
     return RigFit(
@@ -259,6 +279,7 @@ def _difference(
     values: Mapping[str, Array],
     base: Pose,
     want: tuple[Array, Array],
+    step: Callable[[], None],
 ) -> tuple[Floats, Floats]:
     """Distances and angles between joints as the rig has them and as they are wanted, (T, J)."""
     distances, angles = list[Floats](), list[Floats]()
@@ -270,6 +291,7 @@ def _difference(
         turned, places = world_rotations_positions(skeleton, pose)
         distances.append(np.sqrt(np.sum((places - want[1][span]) ** 2, axis=-1)))
         angles.append(np.asarray(quat.angle_between(turned, want[0][span])))
+        step()
     return np.concatenate(distances), np.concatenate(angles)
 
 
