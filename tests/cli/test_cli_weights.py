@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from keypose import io
+from keypose import io, samples
+from keypose.io.registry import formats
 from tests.cli.test_cli import keypose, refused
 
 
@@ -45,6 +47,16 @@ def test_a_character_is_weighted_anew(tmp_path: Path) -> None:
     assert {int(j) for s in skins if s is not None for j in s.palette[np.unique(s.joints[s.weights > 0])]} <= {0, 5}
 
 
+def test_what_is_said_to_hold_weights_holds_them(tmp_path: Path) -> None:
+    scene = samples.load("human")
+    suffixes = [suffix for entry in formats() for suffix in entry.skins]
+    assert ".glb" in suffixes and ".keypose" in suffixes
+    for suffix in suffixes:
+        path = tmp_path / f"human{suffix}"
+        io.save(replace(scene, animations=()), path)
+        assert any(part.skin is not None for part in io.load(path).character.parts), suffix
+
+
 @pytest.mark.data
 def test_real_files(data_dir: Path, tmp_path: Path) -> None:
     base, bones = data_dir / "makehuman/base.obj", data_dir / "makehuman/tpose.bvh"
@@ -61,6 +73,8 @@ def test_what_cannot_be_done_is_said_in_one_line(statue: Path, tmp_path: Path) -
     assert "nearest: 'Hips'" in refused(keypose("skin", "sample:human", out, "--joints", "Hisp"))
     assert "one of the inputs" in refused(keypose("skin", statue, statue, "--skeleton", "sample:walk"))
     assert ".xyz" in refused(keypose("skin", "sample:human", tmp_path / "out.xyz"))
+    for suffix in (".bvh", ".vrma", ".obj", ".npz"):
+        assert "holds no weights" in refused(keypose("skin", "sample:human", tmp_path / f"out{suffix}"))
     assert "clip 'Run'" in refused(keypose("skin", "sample:walk", out, "--clip", "Run"))
     assert keypose("skin", "sample:human", out, "--influences", 0).returncode == 2
     assert not out.exists()

@@ -138,3 +138,9 @@ def test_a_table_of_numbers_is_no_face(tmp_path: Path) -> None:
     (tmp_path / "table.csv").write_text("x,y\n1,2\n")
     with pytest.raises(FormatError, match=r"only takes of Live Link Face are understood.*'x,y'"):
         run("info", tmp_path / "table.csv")
+
+
+def test_rig_takes_what_is_of_a_motion_only_with_one() -> None:
+    for option, value in (("--rate", "30"), ("--clip", "Run")):
+        done = CliRunner().invoke(app, ["rig", "sample:human", option, value])
+        assert done.exit_code == 2 and option in done.output and "--motion" in done.output

@@ -278,6 +278,11 @@ def rig(
     """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
     from keypose.cli.rig import rig_file
 
+    if motion is None:
+        for name, given in (("--rate", rate), ("--clip", clip)):
+            if given is not None:
+                raise typer.BadParameter("goes with a --motion", param_hint=name)
+
     rig_file(
         character,
         output,

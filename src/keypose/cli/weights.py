@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from keypose.cli.console import progress_bar
-from keypose.cli.inputs import open_input
+from keypose.cli.inputs import file_word, open_input
 from keypose.cli.output import check_output, print_written, write_scene
 from keypose.errors import FormatError
 from keypose.model import Scene
@@ -33,13 +33,18 @@ def skin_file(
     """Bind the meshes of a file and write them with skeleton and motions.
 
     Raises:
-        FormatError: where the output's format cannot be written, or an input has no mesh or no skeleton.
+        FormatError: where the output's format cannot be written or holds no weights, or an input has no mesh or no skeleton.
         UnknownName: for a joint or a clip that does not exist.
     """
     from keypose.deform import skin_character
+    from keypose.io.registry import format_of_suffix, formats
     from keypose.model import SkinningMethod
 
     check_output(output, [mesh, skeleton])
+    held = format_of_suffix(output)
+    if held is not None and output.suffix.lower() not in held.skins:
+        known = " ".join(suffix for entry in formats() for suffix in entry.skins)
+        raise FormatError(f"a {output.suffix} file holds no weights; those that do: {known}", path=output)
     shape = open_input(mesh, unit=unit, up=up, options=options)
     bodies = [c for c in shape.characters if c.parts]
     if not bodies:
@@ -65,5 +70,5 @@ def skin_file(
     if as_json:
         print(json.dumps({**asdict(report), "notes": notes}, indent=1))
     elif not quiet:
-        facts = f"{bound.vertex_count:,} vertices, {own.skeleton.joint_count} joints"
+        facts = f"{file_word(bound.vertex_count, 'vertex', 'vertices')}, {file_word(own.skeleton.joint_count, 'joint')}"
         print_written(output, facts, notes, report.lines())

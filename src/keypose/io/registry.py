@@ -28,7 +28,7 @@ class Format:
     ``read(path: Path, **options) -> Scene``, ``write(scene: Scene, path: Path, **options) -> notes or None``.
     ``sniff`` says from the first bytes of a file whether it is of this format; an empty ``write`` means read only.
     ``every_curve`` says that the writer stores curves of all kinds as they are; others are given plain clips
-    (`keypose.evaluate.plain_clip`).
+    (`keypose.evaluate.plain_clip`). ``skins`` are the suffixes whose files hold meshes with weights of joints.
     """
 
     name: str
@@ -37,6 +37,7 @@ class Format:
     read: str
     write: str = ""
     every_curve: bool = False
+    skins: tuple[str, ...] = ()
 
     def reader(self) -> Callable[..., Any]:
         """The reading function, imported now."""
@@ -143,15 +144,29 @@ def register(entry: Format) -> None:
 register(Format("bvh", (".bvh",), _is_bvh, "keypose.io.bvh:read", "keypose.io.bvh:write"))
 register(
     Format(
-        "gltf", (".gltf", ".glb", ".vrm", ".vrma"), _is_gltf, "keypose.io.gltf.vrm:read", "keypose.io.gltf.vrm:write"
+        "gltf",
+        (".gltf", ".glb", ".vrm", ".vrma"),
+        _is_gltf,
+        "keypose.io.gltf.vrm:read",
+        "keypose.io.gltf.vrm:write",
+        skins=(".gltf", ".glb", ".vrm"),
     ),
 )
-register(Format("fbx", (".fbx",), _is_fbx, "keypose.io.fbx:read", "keypose.io.fbx:write"))
+register(Format("fbx", (".fbx",), _is_fbx, "keypose.io.fbx:read", "keypose.io.fbx:write", skins=(".fbx",)))
 register(Format("asf", (".asf",), is_asf, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
 register(Format("amc", (".amc",), is_amc, "keypose.io.acclaim:read", "keypose.io.acclaim:write"))
-register(Format("collada", (".dae",), _is_collada, "keypose.io.collada:read", "keypose.io.collada:write"))
 register(
-    Format("usd", (".usd", ".usda", ".usdc", ".usdz"), _is_usd, "keypose.io.usd:read", "keypose.io.usd:write"),
+    Format("collada", (".dae",), _is_collada, "keypose.io.collada:read", "keypose.io.collada:write", skins=(".dae",))
+)
+register(
+    Format(
+        "usd",
+        (".usd", ".usda", ".usdc", ".usdz"),
+        _is_usd,
+        "keypose.io.usd:read",
+        "keypose.io.usd:write",
+        skins=(".usd", ".usda", ".usdc", ".usdz"),
+    ),
 )
 register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:read"))
 register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
@@ -163,7 +178,15 @@ register(Format("textgrid", (".textgrid",), _is_textgrid, "keypose.io.textgrid:r
 register(Format("hts", (".lab",), _no_mark, "keypose.io.labels:read"))
 register(Format("npz", (".npz",), _is_npz, "keypose.io.arrays_npz:read", "keypose.io.arrays_npz:write"))
 register(
-    Format("keypose", (".keypose",), _is_project, "keypose.io.native:read", "keypose.io.native:write", every_curve=True)
+    Format(
+        "keypose",
+        (".keypose",),
+        _is_project,
+        "keypose.io.native:read",
+        "keypose.io.native:write",
+        every_curve=True,
+        skins=(".keypose",),
+    )
 )
 register(
     Format(
