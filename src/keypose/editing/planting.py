@@ -18,7 +18,7 @@ from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
-from keypose.editing.planting_legs import LEG_M, bend_leg, find_leg, hips_path, knee_angles, reached_angles
+from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -29,6 +29,7 @@ Touching = Mapping[str, np.ndarray]
 Progress = Callable[[int, int], None]
 HipsMode = Literal["free", "upright", "still"]
 
+_LEG_M = 0.85
 _ROUNDS = 24  # of planting and looking again; almost always two or three are enough
 _SINK_M, _SINK_KNOWN_M = 0.01, 0.0005  # how far feet in the air may go under a ground that is guessed, or known
 _KNEE_LIMIT = 1.4  # times the largest angular acceleration of a knee that there was
@@ -119,7 +120,7 @@ def plant_feet(
     # contacts that are given are planted once, others twice and looked at a third time, as a rule
     steps = _Steps(progress, 5 if touching is not None else 14)
     before = _Body(motion, skeleton, roles, steps)
-    cycle = find_cycle(motion, skeleton, before.turned, before.places, before.size) if options.loop else None
+    cycle = find_cycle(motion, skeleton, before.turned, before.places) if options.loop else None
     if options.loop and (cycle is None or touching is not None):
         why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
         raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: {why}")
@@ -229,7 +230,7 @@ class _Body:
         finite(self.places, "places of the motion's joints")
         self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
         self.leg_m = float(self.legs[0].length[0])
-        self.size = self.leg_m / LEG_M
+        self.size = self.leg_m / _LEG_M
 
     def look(self, options: PlantOptions, heights: Floats | None) -> Footing:
         """Where feet stand."""
