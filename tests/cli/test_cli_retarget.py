@@ -102,6 +102,15 @@ def test_somebody_elses_result_beside_it(data_dir: Path, tmp_path: Path) -> None
     assert "turned by -60.3 degrees and shifted by 8.3 ms" in said
 
 
+@pytest.mark.data
+def test_a_bad_reference_pose_is_hinted_at(data_dir: Path, tmp_path: Path) -> None:
+    rig = data_dir / "fbx/ozz_pab/jog.fbx"
+    args = ("retarget", "sample:walk", "--to", rig, tmp_path / "out.glb")
+    good, bad = keypose(*args), keypose(*args, "--target-reference", 0)  # a frame in mid-step
+    assert good.returncode == bad.returncode == 0
+    assert "--target-reference" not in good.stdout and "--target-reference" in bad.stdout
+
+
 def test_reference_frames_and_props_are_checked(tmp_path: Path) -> None:
     args = ("retarget", "sample:walk", "--to", "sample:human", tmp_path / "out.glb")
     done = keypose(*args, "--source-reference", 3, "--keep-hands", "--prop", "0,1,0.3:0,1.1,0.3")

@@ -18,6 +18,7 @@ from keypose.retarget import (
     HandOptions,
     Prop,
     bind_stand,
+    compare_with_reference,
     find_stand,
     ground_under,
     pose_of_other,
@@ -513,6 +514,37 @@ def test_an_animal_is_no_human(data_dir: Path, walk: Scene) -> None:
         retarget(motion_of(walk), walk.character.skeleton, fox)
     with pytest.raises(KeyposeError, match="four feet and the other on two"):
         retarget(motion_of(walk), walk.character.skeleton, fox, target_roles=find_roles(fox).roles)
+
+
+@pytest.mark.data
+def test_a_body_on_two_feet_is_not_compared_with_one_on_four(data_dir: Path, walk: Scene) -> None:
+    fox = samples.open_scene(str(data_dir / "gltf/khronos/Fox.glb"))
+    skeleton = fox.character.skeleton
+    run = evaluate.bake(fox.animations[0], skeleton, 30.0)
+    two, four = (
+        (motion_of(walk), walk.character.skeleton, find_roles(walk.character.skeleton).roles),
+        (run, skeleton, find_roles(skeleton).roles),
+    )
+    for first, second in ((two, four), (four, two)):
+        with pytest.raises(KeyposeError, match="four feet and the other on two"):
+            compare_with_reference(*first, *second, {})
+    assert compare_with_reference(*four, *four, {}).mean_direction_deg < 1e-6
+
+
+@pytest.mark.data
+def test_a_rest_pose_in_mid_step_gives_way_to_upright_frames(data_dir: Path, walk: Scene) -> None:
+    """The same rig saved at rest tells how well bones can point at all."""
+    reports = []
+    for name in ("jog", "skeleton"):
+        rig = samples.open_scene(str(data_dir / f"fbx/ozz_pab/{name}.fbx"))
+        skeleton = rig.character.skeleton
+        own = evaluate.bake(rig.animations[0], skeleton, 30.0) if rig.animations else None
+        done = retarget(motion_of(walk), walk.character.skeleton, skeleton, target_motion=own)
+        reports.append(done.report)
+        assert any("upright frames" in note for note in done.notes) == (name == "jog")
+    jog, rest = reports
+    assert jog.mean_direction_deg < rest.mean_direction_deg + 1.0
+    assert jog.direction_deg["right_upper_leg"] < 5.0
 
 
 # ---- fingers and spines ----------------------------------------------------------------------------------------------

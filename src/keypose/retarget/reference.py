@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from keypose.analysis.quality import carried_speeds
-from keypose.analysis.roles import SIDES
+from keypose.analysis.roles import SIDES, stands_on_all_fours
 from keypose.arrays import Floats
-from keypose.errors import ShapeError
+from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion, Skeleton
 from keypose.retarget.report import angles_deg
@@ -78,8 +78,11 @@ def compare_with_reference(
     The time between both is looked for within 0.1 s, frame by frame of ``motion``.
 
     Raises:
+        KeyposeError: where only one of the two stands on four feet.
         ShapeError: where the two have no frames in common, or no bones.
     """
+    if len({_on_all_fours(s, r) for s, r in ((skeleton, roles), (reference_skeleton, reference_roles))}) > 1:
+        raise KeyposeError("one body stands on four feet and the other on two; their motions cannot be compared")
     mine, theirs = (
         np.asarray(world_rotations_positions(s, m.pose.broadcast())[1], np.float64)
         for s, m in ((skeleton, motion), (reference_skeleton, reference))
@@ -129,6 +132,11 @@ def compare_with_reference(
         float(beside.mean()) if len(beside) else 0.0,
         len(own),
     )
+
+
+def _on_all_fours(skeleton: Skeleton, roles: Mapping[str, int]) -> bool:
+    """Whether a body rests on hands and feet."""
+    return stands_on_all_fours(np.asarray(world_rotations_positions(skeleton, skeleton.rest)[1], np.float64), roles)
 
 
 def _frames(motion: Motion, reference: Motion, shift: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,9 @@ from keypose.model import Motion, Pose, Skeleton
 # A reference pose whose trunk or legs lean further than this is no stand.
 _LEAN_LIMIT = np.radians(35.0)
 
+# A rest pose that is turned upright by less does not lie: it was saved in the middle of a motion.
+_LYING = np.radians(45.0)
+
 # Frames that lean no further than the most upright one and this are looked at for a stand.
 _LEAN_MORE = np.radians(12.0)
 
@@ -29,20 +32,24 @@ _DOWN = -_UP
 def find_stand(skeleton: Skeleton, roles: Mapping[str, int], motion: Motion | None = None) -> tuple[Pose | None, str]:
     """An upright stand of a skeleton, and in words where it is not its rest pose (then None and nothing).
 
-    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, a frame of a motion is
-    taken that stands upright with its arms spread, as many begin; else the mean of the upright frames, facing +Z, with straight
-    legs and the feet as they stand.
+    A rest pose that lies or stands on its head is turned upright as a whole. Where even that is no stand, or the rest pose only
+    leans and a motion is upright somewhere, a frame of the motion is taken that stands upright with its arms spread, as many
+    begin; else the mean of the upright frames, facing +Z, with straight legs and the feet as they stand.
     """
     rest = skeleton.rest
     places = np.asarray(world_rotations_positions(skeleton, rest)[1], np.float64)
     if is_stand(places, roles):
         return None, ""
     upright = raised(skeleton, rest, roles)
-    if upright is not None:
+    if upright is not None and _lies(places, roles):
         return upright, "the rest pose lies; it was turned upright"
-    if motion is None or motion.frame_count == 0:
+    shown = None
+    if motion is not None and motion.frame_count:
+        shown = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
+    if upright is not None and (shown is None or float(lean(shown, roles).min()) >= _LEAN_LIMIT):
+        return upright, "the rest pose leans; it was turned upright"
+    if motion is None or shown is None:
         return None, "the rest pose is no upright stand; name a reference pose"
-    shown = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
     frame = _spread_frame(shown, roles)
     if frame is not None:
         pose = motion.pose.broadcast()
@@ -137,6 +144,12 @@ def raised(skeleton: Skeleton, pose: Pose, roles: Mapping[str, int]) -> Pose | N
         translations[root] = quat.rotate(turn, translations[root])
         rotations[root] = quat.multiply(turn, rotations[root])
     return Pose(translations, rotations, pose.scales)
+
+
+def _lies(places: Floats, roles: Mapping[str, int]) -> bool:
+    """Whether a body at joints' places (J, 3) has to be tipped far to stand, as files with another axis up have it."""
+    turn = _upright(places, roles)
+    return turn is not None and float(quat.rotate(turn, _UP)[1]) < np.cos(_LYING)
 
 
 def _upright(places: Floats, roles: Mapping[str, int]) -> Floats | None:
