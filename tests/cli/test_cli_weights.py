@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from keypose import io, samples
+from keypose.deform.weights import WeightsReport
 from keypose.io.registry import formats
 from tests.cli.test_cli import keypose, refused
 
@@ -78,3 +79,16 @@ def test_what_cannot_be_done_is_said_in_one_line(statue: Path, tmp_path: Path) -
     assert "clip 'Run'" in refused(keypose("skin", "sample:walk", out, "--clip", "Run"))
     assert keypose("skin", "sample:human", out, "--influences", 0).returncode == 2
     assert not out.exists()
+
+
+def test_one_is_no_plural(tmp_path: Path) -> None:
+    lone = replace(samples.load("human"), animations=())
+    body = lone.character
+    part = max(body.parts, key=lambda p: p.mesh.vertex_count)
+    notes = io.save(replace(lone, characters=(replace(body, parts=(part,)),)), tmp_path / "one.bvh")
+    assert "1 mesh part is not in the file: BVH holds no meshes" in notes
+    report = WeightsReport(8, 8, 1, 1, 0, 0, 1, 0, 1, 1, 0.0, ("Hips",), ())
+    text = "\n".join(report.lines())
+    assert "1 piece: " in text and "1 joint moves something" in text and "1 heated piece is open" in text
+    two = "\n".join(replace(report, pieces=2, open_pieces=2, joints=("Hips", "Head")).lines())
+    assert "2 pieces: " in two and "2 joints move something" in two and "2 heated pieces are open" in two

@@ -94,10 +94,12 @@ def print_info(
             table.add_column(title, justify=side)  # pyright: ignore[reportArgumentType]
         for animation, clip in zip(scene.animations, facts["clips"], strict=True):
             if isinstance(animation, Clip):
-                channels = f"{len(animation.curves)} curves"
+                channels = file_word(len(animation.curves), "curve")
             else:
-                weights = [f"{len(animation.morph_names)} weights"] if animation.morph_names else []
-                joints = [f"{len(animation.joint_names)} joints"] if animation.joint_names or not weights else []
+                weights = [file_word(len(animation.morph_names), "weight")] if animation.morph_names else []
+                joints = (
+                    [file_word(len(animation.joint_names), "joint")] if animation.joint_names or not weights else []
+                )
                 channels = ", ".join(joints + weights)
             table.add_row(
                 f"  {escape(clip['name'] or '(unnamed)')}",

@@ -55,15 +55,18 @@ class WeightsReport:
 
     def lines(self) -> list[str]:
         """The figures as lines of text."""
+        pieces = "1 piece" if self.pieces == 1 else f"{self.pieces} pieces"
+        joints = "1 joint moves" if len(self.joints) == 1 else f"{len(self.joints)} joints move"
         found = [
-            f"{self.vertices:,} vertices at {self.points:,} places, {self.pieces} pieces: {self.heated} by bone heat, "
+            f"{self.vertices:,} vertices at {self.points:,} places, {pieces}: {self.heated} by bone heat, "
             f"{self.attached} go along with the surface beside them, {self.rigid} with one joint",
-            f"{len(self.joints)} joints move something, {len(self.joints_without)} nothing",
+            f"{joints} something, {len(self.joints_without)} nothing",
             f"at most {self.influences} influences, {self.influences_before} before; "
             f"{100 * self.mean_lost_weight:.2g} % of the weight lost by that on average",
         ]
         if self.open_pieces:
-            found.append(f"{self.open_pieces} heated pieces are open: what they enclose was found with voxels")
+            open_ones = "1 heated piece is" if self.open_pieces == 1 else f"{self.open_pieces} heated pieces are"
+            found.append(f"{open_ones} open: what is enclosed was found with voxels")
         if self.vertices_around_corners:
             found.append(f"{self.vertices_around_corners:,} places see no bone: nearest one through the body")
         return found

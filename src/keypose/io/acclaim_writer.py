@@ -62,7 +62,8 @@ def write(
     character, notes = scene.characters[0], list[str]()
     notes += [f"character '{other.name}' is not in the file: ASF holds one" for other in scene.characters[1:]]
     if character.parts:
-        notes.append(f"{len(character.parts)} mesh parts are not in the file: ASF holds no meshes")
+        parts = "1 mesh part is" if len(character.parts) == 1 else f"{len(character.parts)} mesh parts are"
+        notes.append(f"{parts} not in the file: ASF holds no meshes")
     known = _Known.of(character)
     unit_m = known.unit_m if unit is None else unit_in_metres(unit)
     with_motion = path.suffix.lower() == ".amc"

@@ -70,7 +70,8 @@ def write(
     character = scene.characters[0]
     notes += [f"character '{other.name}' is not in the file: BVH holds one" for other in scene.characters[1:]]
     if character.parts:
-        notes.append(f"{len(character.parts)} mesh parts are not in the file: BVH holds no meshes")
+        parts = "1 mesh part is" if len(character.parts) == 1 else f"{len(character.parts)} mesh parts are"
+        notes.append(f"{parts} not in the file: BVH holds no meshes")
     remembered = _Remembered.of(character)
     motion = motion_to_write(scene, character, "BVH", _DEFAULT_RATE_HZ, rate_hz, animation, notes)
     unit_m, up = written_as(character, unit=unit, up=up)
