@@ -23,12 +23,14 @@ from keypose.ik import (
     OrientationTask,
     PosePrior,
     PositionTask,
+    RelativeTask,
     RootMotion,
     Smoothness,
     SolveOptions,
     Task,
     clamp_pose,
     limit_violation,
+    prepare_solver,
     solve_pose,
 )
 from keypose.math import quat
@@ -97,6 +99,10 @@ def worst_violation(skeleton: Skeleton, limits: dict[str, JointLimit], pose: Pos
     )
 
 
+def left_of(found: IkResult) -> np.ndarray:
+    return np.stack([r.distance_m for r in found.residuals if r.distance_m is not None], axis=-1)
+
+
 def reach(places: np.ndarray, roles: dict[str, int], names: tuple[str, ...] = ENDS, **more: Any) -> list[Task]:
     return [PositionTask(roles[name], places[..., roles[name], :], **more) for name in names]
 
@@ -120,17 +126,18 @@ def test_ten_thousand_unreachable_ones_settle_without_jitter(
     count = 10_000
     away = np.random.default_rng(8).normal(size=(count, body.joint_count, 3))
     places = away / np.linalg.norm(away, axis=-1, keepdims=True) * 3.0  # all ends in all directions
-    options = SolveOptions(iterations=300)
-    found = solve_pose(body, rest_of(body), reach(places, roles), limits=limits, options=options)
+    found = solve_pose(body, rest_of(body), reach(places, roles), limits=limits, options=SolveOptions(iterations=300))
     assert not found.reached.any()
-    assert found.converged.mean() > 0.85
+    assert found.converged.mean() > 0.98
     assert worst_violation(body, limits, found.pose) < 1e-6
-    # solving on from the result changes nothing
-    again = solve_pose(body, found.pose, reach(places, roles), limits=limits, options=options)
-    settled = found.converged
+    # In a hundred steps more, hardly a task of a settled pose comes closer, or goes further, at all.
+    again = solve_pose(
+        body, found.pose, reach(places, roles), limits=limits,
+        options=SolveOptions(settled_rad=1e-15, still_m=1e-15),
+    )  # fmt: skip
     assert (again.cost <= found.cost * (1.0 + 1e-12)).all()
-    moved = np.abs(world_of(body, again.pose)[1] - world_of(body, found.pose)[1]).max(axis=(1, 2))
-    assert np.quantile(moved[settled], 0.99) < 1e-6, np.quantile(moved[settled], [0.5, 0.9, 0.99])
+    moved = np.abs(left_of(again) - left_of(found)).max(axis=1)
+    assert (np.quantile(moved[found.converged], [0.95, 0.99, 1.0]) < (1e-7, 1e-6, 1e-4)).all()
 
 
 def test_the_cost_falls_with_every_step(
@@ -144,6 +151,88 @@ def test_the_cost_falls_with_every_step(
         )
         assert (found.cost <= before).all(), steps
         before = found.cost
+
+
+def test_a_prepared_solver_solves_the_same(
+    body: Skeleton, roles: dict[str, int], limits: dict[str, JointLimit], compiled: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Targets one by one, all at once, by task, from poses: all as NumPy solves the tasks with these targets."""
+    rng = np.random.default_rng(10)
+    places = world_of(body, posed_inside(body, limits, 6, 10))[1]
+    turns = random_rotations(rng, 6)
+    hand, foot = roles["left_hand"], roles["right_foot"]
+
+    def tasks(n: Any) -> list[Task]:
+        return [
+            PositionTask(hand, places[n, hand], np.array([1.0, 2.0, 0.5, 1.0, 1.0, 3.0])[n], (0.0, 0.05, 0.0)),
+            OrientationTask(foot, 1.5 * turns[n], 0.3),
+            LookAtTask("Head", places[n, foot], weight=0.2),
+            ContactTask("RightToeBase", places[n, foot], (0.0, 2.0, 0.5), on=True),
+            PosePrior(weight=0.05, root_weight=0.1),
+        ]
+
+    options = SolveOptions(iterations=6)
+    every = slice(None)
+    others = {name: limit for name, limit in limits.items() if name != "LeftHand"}
+    arguments: dict[str, Any] = {"limits": others, "locked": {"LeftHand": "y"}, "options": options}
+    start = posed_inside(body, {}, 6, 11, 0.3)
+    prepared = prepare_solver(body, tasks(every), **arguments)
+    for pose in (None, start):
+        begun = rest_of(body) if pose is None else pose
+        with monkeypatch.context() as patch:
+            patch.setattr("keypose.ik.fullbody.kernels_for", lambda *_: None)
+            patch.setattr("keypose.ik.fullbody_run.kernels_for", lambda *_: None)
+            plain = solve_pose(body, begun, tasks(every), **arguments)
+        for found in (
+            prepared.solve(pose),
+            prepare_solver(body, tasks(every), **arguments).solve(
+                pose, [places[:, hand], turns, places[:, foot], places[:, foot], None]
+            ),
+        ):
+            np.testing.assert_allclose(found.cost, plain.cost, rtol=1e-6)
+            np.testing.assert_array_equal(found.iterations, plain.iterations)
+            np.testing.assert_allclose(found.pose.translations, plain.pose.translations, atol=1e-5)
+            apart = quat.angle_between(np.asarray(found.pose.rotations), np.asarray(plain.pose.rotations))
+            assert float(np.max(apart)) < 1e-5
+            for ours, theirs in zip(found.residuals, plain.residuals, strict=True):
+                for a, b in ((ours.distance_m, theirs.distance_m), (ours.angle_rad, theirs.angle_rad)):
+                    assert (a is None) == (b is None)
+                    if a is not None and b is not None:
+                        np.testing.assert_allclose(a, b, atol=1e-5)
+    one = [replace(task, weight=1.0) if isinstance(task, PositionTask) else task for task in tasks(0)]
+    alone = prepare_solver(body, one, **arguments)
+    for n in range(6):
+        now = [replace(task, weight=1.0) if isinstance(task, PositionTask) else task for task in tasks(n)]
+        wanted = solve_pose(body, start[n], now, **arguments)
+        found = alone.solve(
+            start[n], {one[0]: places[n, hand], one[1]: turns[n], one[2]: places[n, foot], one[3]: places[n, foot]}
+        )
+        assert found.pose.batch_shape == () and found.cost.shape == ()
+        np.testing.assert_allclose(found.pose.rotations, wanted.pose.rotations, atol=1e-9)
+        np.testing.assert_allclose(left_of(found), left_of(wanted), atol=1e-9)
+
+
+def test_a_prepared_solver_names_wrong_targets(body: Skeleton) -> None:
+    task, prior = PositionTask("LeftHand", (0.0, 0.0, 0.0)), PosePrior()
+    solver = prepare_solver(body, [task, prior])
+    with pytest.raises(ShapeError, match="one for each of 2 tasks"):
+        solver.solve(targets=[np.zeros(3)])
+    with pytest.raises(ShapeError, match="another PositionTask"):
+        solver.solve(targets={PositionTask("LeftHand", (0.0, 0.0, 0.0)): np.zeros(3)})
+    with pytest.raises(ShapeError, match="PosePrior has no target"):
+        solver.solve(targets={prior: np.zeros(3)})
+    with pytest.raises(ShapeError, match=r"targets\[0\] of PositionTask"):
+        solver.solve(targets={task: np.zeros(4)})
+    with pytest.raises(ShapeError, match="finite"):
+        solver.solve(targets={task: np.full(3, np.nan)})
+    with pytest.raises(ShapeError, match="does not broadcast"):
+        solver.solve(rest_of(body)[None][[0, 0]], targets={task: np.zeros((3, 3))})
+
+
+def test_relative_tasks_are_given_targets_too(body: Skeleton) -> None:
+    task = RelativeTask("LeftHand", "Head", (0.3, 0.0, 0.2))
+    found = prepare_solver(body, [task]).solve(targets={task: [[0.2, 0.1, 0.3], [0.3, -0.1, 0.2]]})
+    assert found.reached.all() and found.pose.batch_shape == (2,)
 
 
 def test_through_the_boundary_of_reach_nothing_jumps(body: Skeleton, roles: dict[str, int], compiled: Any) -> None:
@@ -195,6 +284,7 @@ def test_both_paths_take_the_same_steps(seed: int, compiled: Any, monkeypatch: p
         fast = solve_pose(skeleton, start, tasks, **arguments)
         with monkeypatch.context() as patch:
             patch.setattr("keypose.ik.fullbody.kernels_for", lambda *_: None)
+            patch.setattr("keypose.ik.fullbody_run.kernels_for", lambda *_: None)
             plain = solve_pose(skeleton, start, tasks, **arguments)
         np.testing.assert_allclose(fast.cost, plain.cost, rtol=1e-6)
         apart = quat.angle_between(np.asarray(fast.pose.rotations), np.asarray(plain.pose.rotations))

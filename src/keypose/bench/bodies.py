@@ -12,7 +12,7 @@ import numpy as np
 
 from keypose.bench import data, plain
 from keypose.bench.suite import Suite
-from keypose.ik import PositionTask, SolveOptions, solve_pose
+from keypose.ik import PositionTask, SolveOptions, prepare_solver
 from keypose.math import quat
 from keypose.model import Pose, Skeleton
 
@@ -44,38 +44,30 @@ def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, ma
     name = f"full-body IK, {joints} joints, {count} effectors"
     rest = Pose(offsets, np.tile([1.0, 0, 0, 0], (joints, 1)), np.ones((joints, 3)))
     skeleton = Skeleton(tuple(f"joint{j}" for j in range(joints)), parents, rest)
-    whole = SolveOptions(iterations=_STEPS, tolerance_m=1e-15, settled_rad=1e-15)
+    at_rest = [PositionTask(int(e), np.zeros(3)) for e in effectors]
+    whole = SolveOptions(iterations=_STEPS, tolerance_m=1e-15, settled_rad=1e-15, still_m=1e-300)
     asked = SolveOptions(iterations=100, tolerance_m=_ASKED_M)
-
-    def tasks(places: Any) -> list[PositionTask]:
-        return [PositionTask(int(e), places[:, e]) for e in effectors]
 
     def missed(result: Any, places: Any) -> float:
         reached = plain.kinematics(parents, result.pose.rotations, result.pose.translations)[1]
-        return float(np.linalg.norm((reached - places)[:, effectors], axis=-1).max())
+        return float(np.linalg.norm((reached - places)[..., effectors, :], axis=-1).max())
 
-    one, every = tasks(goal), tasks(many)
-    left = (
-        missed(solve_pose(skeleton, rest, one, options=whole), goal),
-        missed(solve_pose(skeleton, rest, every, options=whole), many),
-    )
-    suite.check(f"{name}, {_STEPS} steps: distance left (m)", max(left), 1e-8)
-    far = missed(solve_pose(skeleton, rest, every, options=asked), many)
-    suite.check(f"{name}, to {_ASKED}: distance left (m)", far, 1.001 * _ASKED_M)
-    count = min(_BESIDE, len(many))
-    full, near, said = _beside(parents, offsets, effectors, many[:count])
-    suite.case(
-        f"{name}, {_STEPS} steps", "us/solve", len(many), lambda: solve_pose(skeleton, rest, every, options=whole), full,
-        "mink", count, f"{len(many)} at once; {left[1]:.1g} m off, {said[0]}",
-    )  # fmt: skip
-    suite.case(
-        f"{name}, to {_ASKED}", "us/solve", len(many), lambda: solve_pose(skeleton, rest, every, options=asked), near,
-        "mink", count, f"{len(many)} at once; worst {1e3 * far:.2g} mm, {said[1]}",
-    )  # fmt: skip
-    suite.case(
-        f"{name}, {_STEPS} steps, one alone", "us/solve", 1, lambda: solve_pose(skeleton, rest, one, options=whole), full,
-        "mink", count, f"{left[0]:.1g} m off",
-    )  # fmt: skip
+    one, every = [goal[0, e].copy() for e in effectors], [many[:, e].copy() for e in effectors]
+    beside = min(_BESIDE, len(many))
+    full, near, said = _beside(parents, offsets, effectors, many[:beside])
+    for words, options, peer, note, limit in (
+        (f"{_STEPS} steps", whole, full, said[0], 1e-8), (f"to {_ASKED}", asked, near, said[1], 1.001 * _ASKED_M),
+    ):  # fmt: skip
+        solver = prepare_solver(skeleton, at_rest, options=options)
+        for targets, places, together in ((every, many, f"{len(many)} at once"), (one, goal[0], "one alone")):
+            found = solver.solve(targets=targets)
+            left, steps = missed(found, places), float(np.mean(found.iterations))
+            suite.check(f"{name}, {words}, {together}: distance left (m)", left, limit)
+            suite.case(
+                f"{name}, {words}, {together}", "us/solve", found.cost.size,
+                lambda solver=solver, targets=targets: solver.solve(targets=targets), peer, "mink", beside,
+                f"{steps:.3g} steps, {1e3 * left:.1g} mm off; {note}",
+            )  # fmt: skip
 
 
 def _beside(parents: Any, offsets: Any, effectors: Any, many: Any) -> tuple[Any, Any, tuple[str, str]]:
@@ -90,7 +82,7 @@ def _beside(parents: Any, offsets: Any, effectors: Any, many: Any) -> tuple[Any,
         for place, n in zip(many, each, strict=True):
             peer.solve(place, n)
 
-    said = f"mink {off[0]:.1g} m off", f"mink {1e3 * off[1]:.2g} mm in {np.mean(needed):.1f} steps"
+    said = f"mink {1e3 * off[0]:.1g} mm off", f"mink {1e3 * off[1]:.2g} mm in {np.mean(needed):.1f} steps"
     return lambda: solve(every), lambda: solve(needed), said
 
 

@@ -32,17 +32,20 @@ from keypose.ik.tasks import (
 )
 
 if TYPE_CHECKING:
-    from keypose.ik.fullbody import OUTCOMES, IkResult, SolveOptions, TaskResidual, solve_pose
+    from keypose.ik.fullbody import PoseSolver, prepare_solver, solve_pose
     from keypose.ik.fullbody_problem import RootMotion, RootPolicy
+    from keypose.ik.fullbody_result import OUTCOMES, IkResult, SolveOptions, TaskResidual
 
 # The solver for whole bodies is loaded on first use: what only asks for limits or limbs does not wait for it.
 _SOLVER = {
-    "OUTCOMES": "fullbody",
-    "IkResult": "fullbody",
+    "OUTCOMES": "fullbody_result",
+    "IkResult": "fullbody_result",
     "RootMotion": "fullbody_problem",
     "RootPolicy": "fullbody_problem",
-    "SolveOptions": "fullbody",
-    "TaskResidual": "fullbody",
+    "SolveOptions": "fullbody_result",
+    "TaskResidual": "fullbody_result",
+    "PoseSolver": "fullbody",
+    "prepare_solver": "fullbody",
     "solve_pose": "fullbody",
 }
 
@@ -64,6 +67,7 @@ __all__ = [
     "LookAtTask",
     "OrientationTask",
     "PosePrior",
+    "PoseSolver",
     "PositionTask",
     "RelativeTask",
     "RootMotion",
@@ -80,6 +84,7 @@ __all__ = [
     "find_limit_breaks",
     "limb_rotations",
     "limit_violation",
+    "prepare_solver",
     "rotation_between_frames",
     "solve_ccd",
     "solve_fabrik",

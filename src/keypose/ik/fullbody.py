@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Array, Floats, Ints
+from keypose.arrays import Array, Floats, as_float, checked
 from keypose.errors import ShapeError
-from keypose.evaluate import world_rotations_positions
 from keypose.evaluate.compiled import kernels_for
 from keypose.ik import fullbody_dense as dense
 from keypose.ik.fullbody_dense import State
@@ -17,90 +19,26 @@ from keypose.ik.fullbody_problem import (
     Problem,
     RootMotion,
     RootPolicy,
-    Term,
     batch_of,
+    fields_of,
+    least_damping,
     make_problem,
     rotation_above,
+    target_of,
+    with_target,
 )
-from keypose.ik.fullbody_tables import is_compiled, solve_compiled
+from keypose.ik.fullbody_result import IkResult, SolveOptions, TaskResidual
+from keypose.ik.fullbody_run import TYPICAL_STEPS, restart, result_of, solve_in_order, solve_problem
+from keypose.ik.fullbody_tables import Tables, is_compiled, make_tables, run_rows
 from keypose.ik.limits import JointLimit
-from keypose.ik.tasks import Joint, Smoothness, Task
+from keypose.ik.tasks import Joint, OrientationTask, PosePrior, Smoothness, Task
+from keypose.kernels import fullbodytables as columns
 from keypose.math import quat
 from keypose.model import Pose, Skeleton
 
-OUTCOMES = ("reached", "settled", "out of steps")
-_TYPICAL_STEPS = 20
-_AT_ONCE = 256  # solves that NumPy holds Jacobians of at a time
+_BLOCK = 512  # rows that stay in the processor's cache
 
-
-@dataclass(frozen=True, slots=True)
-class SolveOptions:
-    """How long and how closely to solve.
-
-    ``iterations``: steps at most; ``tolerance_m``, ``tolerance_rad``: what counts as reached, of every task but priors;
-    ``settled_rad``: steps smaller than this (radians, metres of the root) end a solve that cannot reach; ``damping``: of the
-    first step, as a share of the cost; ``restarts``: how often solves that settled without reaching begin again elsewhere
-    (poses spread about the first by ``spread_rad``, the same every time); the best is kept. Restarts may make neighbouring
-    targets' poses jump.
-    """
-
-    iterations: int = 100
-    tolerance_m: float = 1e-5
-    tolerance_rad: float = 1e-5
-    settled_rad: float = 1e-8
-    damping: float = 0.1
-    restarts: int = 0
-    spread_rad: float = 0.7
-
-    def __post_init__(self) -> None:
-        if self.iterations < 0 or self.restarts < 0:
-            raise ShapeError(f"iterations, restarts: expected at least 0, got {self.iterations} and {self.restarts}")
-        for name in ("tolerance_m", "tolerance_rad", "settled_rad", "damping", "spread_rad"):
-            if not getattr(self, name) > 0:
-                raise ShapeError(f"{name}: expected more than 0, got {getattr(self, name)}")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TaskResidual:
-    """What is left of a task, unweighted (*B): metres, radians, or both for a relative task; None where there is none such.
-
-    Of a prior the angle is that of the joint that is furthest from its pose.
-    """
-
-    distance_m: Floats | None
-    angle_rad: Floats | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IkResult:
-    """A pose that does what was asked as well as it can.
-
-    Shapes and units: ``pose`` of batch shape (*B,); ``residuals`` one for each task; ``cost`` (*B,) half the sum of the
-    weighted squares, square metres; ``iterations`` (*B,) steps; ``outcome`` (*B,) indices of `OUTCOMES`: all tasks are
-    within their tolerances; no step makes it better (targets out of reach, against each other or against limits); or steps
-    ran out.
-    """
-
-    pose: Pose
-    residuals: tuple[TaskResidual, ...]
-    cost: Floats
-    iterations: Ints
-    outcome: Ints
-
-    @property
-    def reached(self) -> Array:
-        """(*B,) whether all tasks but priors are within their tolerances."""
-        return self.outcome == 0
-
-    @property
-    def converged(self) -> Array:
-        """(*B,) whether nothing is left to gain."""
-        return self.outcome != 2
-
-    @property
-    def reasons(self) -> Array:
-        """(*B,) the outcomes in words."""
-        return np.asarray(OUTCOMES)[self.outcome]
+Targets = Mapping[Task, Any] | Sequence[Any]
 
 
 def solve_pose(
@@ -123,7 +61,8 @@ def solve_pose(
     result says what is left, and the cost falls with every step. With `Smoothness`, the first axis of the batch is time.
 
     Large batches, and all once it is loaded, go through a compiled solver whose step is linear in joints and tasks; relative
-    tasks, centres of mass and limits of proper Euler angles are solved by NumPy, with the same result.
+    tasks, centres of mass and limits of proper Euler angles are solved by NumPy, with the same result. Who solves the same
+    tasks again and again prepares them once: `prepare_solver`.
 
     Raises:
         UnknownName: for a joint, policy or axis that does not exist.
@@ -133,146 +72,350 @@ def solve_pose(
         unconcerned inverse kinematics by the Levenberg-Marquardt method" (2011) and H. Nielsen (1999); bounds after D.
         Bertsekas, "Projected Newton methods" (1982).
     """
+    return _prepare(skeleton, tasks, limits, fixed, locked, root, options).solve(pose)
+
+
+def prepare_solver(
+    skeleton: Skeleton,
+    tasks: Sequence[Task],
+    *,
+    limits: Mapping[str, JointLimit] | None = None,
+    fixed: Sequence[Joint] = (),
+    locked: Mapping[str, str] | None = None,
+    root: RootPolicy | RootMotion = "free",
+    options: SolveOptions | None = None,
+) -> PoseSolver:
+    """Look up and check everything of `solve_pose` but pose and targets, and load its compiled half.
+
+    Shapes and units: as of `solve_pose`; targets of ``tasks`` stand until others are given.
+
+    Raises:
+        UnknownName: for a joint, policy or axis that does not exist.
+        ShapeError: where shapes or numbers make no sense.
+    """
+    solver = _prepare(skeleton, tasks, limits, fixed, locked, root, options)
+    if solver.plan is None:
+        return solver
+    return replace(solver, kernels=importlib.import_module("keypose.kernels.fullbody"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A part of a task in its rows: which task, its name, the first column, how many."""
+
+    task: int
+    name: str
+    at: int
+    width: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """The tables of one pose, and where in its row the parts go that differ from pose to pose.
+
+    ``targets``: of each task, if it has one; ``varying``: parts of tasks with a batch of their own, and these;
+    ``from_start``: joints whose rotation at the start is wanted at a column.
+    """
+
+    problem: Problem
+    tables: Tables
+    targets: tuple[_Field | None, ...]
+    varying: tuple[tuple[_Field, Floats], ...]
+    from_start: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSolver:
+    """What `prepare_solver` makes: tasks on a skeleton, ready to be solved for any poses and targets."""
+
+    skeleton: Skeleton
+    tasks: tuple[Task, ...]
+    limits: Mapping[str, JointLimit]
+    fixed: tuple[Joint, ...]
+    locked: Mapping[str, str]
+    root: RootMotion
+    options: SolveOptions
+    plan: _Plan | None = None
+    kernels: Any = None
+
+    def solve(self, pose: Pose | None = None, targets: Targets | None = None) -> IkResult:
+        """Solve the tasks from a pose (the rest pose if not given) for their targets, or for others.
+
+        Shapes and units: ``pose`` (*B); ``targets`` task -> array (*B, 3) metres or (*B, 4) rotations, or such arrays in the
+        order of the tasks, None where a task keeps its own; of a contact the point of its plane, of a relative task its
+        place, or turn if it has no place. All batches broadcast.
+
+        Raises:
+            ShapeError: where shapes, numbers or scales make no sense, or a task has no target.
+        """
+        given = {} if targets is None else self._given(targets)
+        plan, start = self.plan, self.skeleton.rest if pose is None else pose
+        if plan is not None and _is_plain(start, self.skeleton):
+            batch = self._batch(plan, start, given)
+            work = math.prod(batch) * self.skeleton.joint_count * min(self.options.iterations, TYPICAL_STEPS)
+            kernels = self.kernels or kernels_for("fullbody", work, plan.problem.start)
+            if kernels is not None and work:
+                return self._solve_rows(plan, kernels, pose, batch, given)
+        tasks = [with_target(task, given[n]) if n in given else task for n, task in enumerate(self.tasks)]
+        problem, batch = self._problem(start, tasks)
+        smooth = any(term.kind is Smoothness for term in problem.terms)
+        if smooth and not batch:
+            raise ShapeError("Smoothness: expected frames as the first axis of the batch, got a single pose")
+        solved = solve_in_order(problem, batch, self.options) if smooth else solve_problem(problem, self.options)
+        return result_of(problem, start, batch, solved)
+
+    def _problem(self, pose: Pose, tasks: Sequence[Task]) -> tuple[Problem, tuple[int, ...]]:
+        batch = batch_of(pose, tasks)
+        problem = make_problem(self.skeleton, pose, tasks, batch, self.limits, self.fixed, self.locked, self.root)
+        return problem, batch
+
+    def _given(self, targets: Targets) -> dict[int, Floats]:
+        """Targets by the numbers of their tasks, checked."""
+        if isinstance(targets, Mapping):
+            numbers = {id(task): n for n, task in enumerate(self.tasks)}
+            for task in targets:
+                if id(task) not in numbers:
+                    raise ShapeError(f"targets: expected tasks of this solver, got another {type(task).__name__}")
+            pairs = [(numbers[id(task)], value) for task, value in targets.items()]
+        else:
+            if len(targets) != len(self.tasks):
+                raise ShapeError(f"targets: expected one for each of {len(self.tasks)} tasks, got {len(targets)}")
+            pairs = list(enumerate(targets))
+        found: dict[int, Floats] = {}
+        for n, value in pairs:
+            if value is None:
+                continue
+            task = self.tasks[n]
+            if isinstance(task, (PosePrior, Smoothness)):
+                raise ShapeError(f"targets[{n}]: a {type(task).__name__} has no target")
+            width = 4 if target_of(task) == "rotation" or isinstance(task, OrientationTask) else 3
+            array = np.asarray(value, np.float64)
+            if array.ndim == 0 or array.shape[-1] != width:
+                checked(as_float(array), (..., width), f"targets[{n}] of {type(task).__name__}")
+            if not math.isfinite(array.sum()):
+                raise ShapeError(f"targets[{n}] of {type(task).__name__}: expected finite numbers")
+            if width == 4:
+                if np.any(np.linalg.norm(array, axis=-1) < 1e-9):
+                    raise ShapeError(f"targets[{n}] of {type(task).__name__}: expected quaternions without length 0")
+                array = quat.normalize(array)
+            found[n] = array
+        return found
+
+    def _batch(self, plan: _Plan, pose: Pose, given: Mapping[int, Floats]) -> tuple[int, ...]:
+        shapes = [pose.batch_shape]
+        for field, array in plan.varying:
+            if not (field == plan.targets[field.task] and field.task in given):
+                shapes.append(array.shape[:-1])
+        first = shapes[0]
+        if all(shape == first for shape in shapes) and all(a.shape[:-1] == first for a in given.values()):
+            return first
+        for n, array in given.items():
+            shapes.append(array.shape[:-1])
+            try:
+                np.broadcast_shapes(*shapes)
+            except ValueError:
+                what = f"targets[{n}] of {type(self.tasks[n]).__name__}"
+                expected = np.broadcast_shapes(*shapes[:-1])
+                raise ShapeError(f"{what}: batch {shapes[-1]} does not broadcast with {expected}") from None
+        try:
+            return np.broadcast_shapes(*shapes)
+        except ValueError:
+            return batch_of(pose, self.tasks)  # which says whose shape it is
+
+    def _solve_rows(
+        self, plan: _Plan, kernels: Any, pose: Pose | None, batch: tuple[int, ...], given: Mapping[int, Floats]
+    ) -> IkResult:
+        """The way of poses without scales: rows filled, solved and read, block by block."""
+        tables, options, count = plan.tables, self.options, math.prod(batch)
+        used, joints = tables.joints, self.skeleton.joint_count
+        size, entries = len(used), tables.entries
+        fills: list[tuple[int, int, Floats]] = []
+
+        def put(at: int, width: int, array: Floats, tail: tuple[int, ...]) -> None:
+            if math.prod(array.shape[: array.ndim - len(tail)]) == 1:
+                fills.append((at, width, array.reshape(1, width)))
+            else:
+                fills.append((at, width, np.broadcast_to(array, (*batch, *tail)).reshape(count, width)))
+
+        if pose is None:
+            start = plan.problem.start[0]
+        else:
+            start = np.asarray(pose.rotations, np.float64)
+            if not math.isfinite(start.sum()) or not math.isfinite(np.sum(pose.translations)):
+                raise ShapeError("pose: expected finite numbers")
+            start = quat.normalize(start)
+            every = size == joints
+            put(0, 4 * size, start if every else start[..., used, :], (size, 4))
+            bones = np.asarray(pose.translations, np.float64)
+            put(4 * size, 3 * size, bones if every else bones[..., used, :], (size, 3))
+            for joint, at in plan.from_start:
+                put(at, 4, start[..., joint, :], (4,))
+        for field, array in plan.varying:
+            if not (field == plan.targets[field.task] and field.task in given):
+                put(field.at, field.width, array, (field.width,))
+        for n, array in given.items():
+            field = plan.targets[n]
+            if field is not None:
+                put(field.at, field.width, array, (field.width,))
+
+        precise = np.asarray(self.skeleton.rest.rotations if pose is None else pose.rotations).dtype
+        dtype = np.result_type(precise, np.float32)
+        rotations = np.empty((count, joints, 4), dtype)
+        if size < joints:
+            rotations.reshape(*batch, joints, 4)[:] = start
+        kept = np.empty((count, entries - 7 * size + len(tables.terms)))
+        rows = np.empty((min(count, _BLOCK), tables.rows.shape[1]))
+        for first in range(0, count, _BLOCK):
+            part = rows[: min(_BLOCK, count - first)]
+            last = first + len(part)
+            part[:] = tables.rows
+            for at, width, array in fills:
+                part[:, at : at + width] = array if len(array) == 1 else array[first:last]
+            run_rows(kernels, tables, part, np.arange(len(part)), options.iterations)
+            turned = part[:, : 4 * size].reshape(len(part), size, 4)
+            if size < joints:
+                rotations[first:last, used] = turned
+            else:
+                rotations[first:last] = turned
+            kept[first:last] = part[:, 7 * size : entries + len(tables.terms)]
+        state = kept[:, 3 : 3 + columns.STATES]
+        if options.restarts and np.any(state[:, columns.MISS] > 1.0):
+            return self._begin_again(pose, given, rotations, kept)
+        return self._read(plan, pose, batch, start, rotations, kept)
+
+    def _begin_again(self, pose: Pose | None, given: Mapping[int, Floats], rotations: Floats, kept: Floats) -> IkResult:
+        start = self.skeleton.rest if pose is None else pose
+        tasks = [with_target(task, given[n]) if n in given else task for n, task in enumerate(self.tasks)]
+        problem, batch = self._problem(start, tasks)
+        state = kept[:, 3:]
+        damping, growth, cost, miss, done, curved, calm, steps = state[:, : columns.STATES].T.copy()
+        there = State(
+            rotations.astype(np.float64), kept[:, :3].copy(), damping, growth, cost, miss, done != 0.0, curved,
+            calm, steps.astype(np.int64),
+        )  # fmt: skip
+        restart(problem, there, self.options)
+        return result_of(problem, start, batch, there)
+
+    def _read(
+        self, plan: _Plan, pose: Pose | None, batch: tuple[int, ...], start: Floats, rotations: Floats, kept: Floats
+    ) -> IkResult:
+        """The values of a result."""
+        begun = self.skeleton.rest if pose is None else pose
+        dtype, joints, mover = rotations.dtype, self.skeleton.joint_count, plan.problem.mover
+        bones = np.asarray(begun.translations)
+        if mover >= 0:
+            moved = np.empty((*batch, joints, 3), dtype)
+            moved[:] = bones
+            shift = kept[:, :3].reshape(*batch, 3)
+            if plan.problem.parents[mover] >= 0:
+                flat = np.broadcast_to(start, (*batch, joints, 4)).reshape(-1, joints, 4)
+                above = np.asarray(rotation_above(self.skeleton, flat, mover))
+                shift = quat.rotate(quat.conjugate(above), kept[:, :3]).reshape(*batch, 3)
+            moved[..., mover, :] = bones[..., mover, :] + shift
+            bones = moved
+        else:
+            bones = bones.astype(dtype)
+        rotations = rotations.reshape(*batch, joints, 4) if len(batch) != 1 else rotations
+        rotations = rotations if rotations.flags.owndata else rotations.copy()
+        for array in (bones, rotations):
+            array.setflags(write=False)
+        state = kept[:, 3:].T
+        miss, done = state[columns.MISS], state[columns.DONE]
+        outcome = np.where(miss <= 1.0, 0, np.where(done != 0.0, 1, 2))
+        residuals = self._residuals(plan, batch, state[columns.STATES :])
+        return IkResult(
+            Pose(bones, rotations, begun.scales), residuals, state[columns.COST].reshape(batch),
+            state[columns.STEPS].astype(np.int64).reshape(batch), outcome.reshape(batch),
+        )  # fmt: skip
+
+    def _residuals(self, plan: _Plan, batch: tuple[int, ...], left: Floats) -> tuple[TaskResidual, ...]:
+        """What is left of each task, of what is left of its entries."""
+        metres: list[Array | None] = [None] * len(self.tasks)
+        angles: list[Array | None] = [None] * len(self.tasks)
+        kinds = plan.tables.arguments[4][:: columns.TERM_COLUMNS]
+        for (task, _), kind, size in zip(plan.tables.terms, kinds.tolist(), left, strict=True):
+            sizes = metres if kind in _IN_METRES else angles
+            before = sizes[task]
+            sizes[task] = size if before is None else np.maximum(before, size)
+        for n, task in enumerate(self.tasks):
+            if isinstance(task, PosePrior) and angles[n] is None:
+                angles[n] = np.zeros(left.shape[1])
+        return tuple(
+            TaskResidual(None if a is None else a.reshape(batch), None if b is None else b.reshape(batch))
+            for a, b in zip(metres, angles, strict=True)
+        )
+
+
+_IN_METRES = (columns.POSITION, columns.CONTACT, columns.ROOT_PRIOR)
+
+
+def _prepare(
+    skeleton: Skeleton,
+    tasks: Sequence[Task],
+    limits: Mapping[str, JointLimit] | None,
+    fixed: Sequence[Joint],
+    locked: Mapping[str, str] | None,
+    root: RootPolicy | RootMotion,
+    options: SolveOptions | None,
+) -> PoseSolver:
     chosen = SolveOptions() if options is None else options
     motion = root if isinstance(root, RootMotion) else RootMotion(root)
-    batch = batch_of(pose, tasks)
-    problem = make_problem(skeleton, pose, tasks, batch, limits or {}, fixed, locked or {}, motion)
-    smooth = any(term.kind is Smoothness for term in problem.terms)
-    if smooth and not batch:
-        raise ShapeError("Smoothness: expected frames as the first axis of the batch, got a single pose")
-    state = _in_order(problem, batch, chosen) if smooth else _solve(problem, chosen)
-    return _result(problem, pose, batch, state, chosen)
+    solver = PoseSolver(skeleton, tuple(tasks), limits or {}, tuple(fixed), locked or {}, motion, chosen)
+    return replace(solver, plan=_plan(solver))
 
 
-def _solve(problem: Problem, options: SolveOptions) -> State:
-    state = _begin(problem, problem.start.copy(), np.zeros((len(problem.start), 3)), options)
-    _run(problem, state, options)
-    if options.restarts:
-        rng = np.random.default_rng(0)
-        for _ in range(options.restarts):
-            left = np.flatnonzero(state.miss > 1.0)
-            if not len(left):
-                break
-            part = problem.take(left)
-            turns = rng.normal(size=(len(left), problem.skeleton.joint_count, 3)) * options.spread_rad
-            turns[:, problem.free == 0] = 0.0
-            if problem.upright >= 0:
-                turns[:, problem.upright, ::2] = 0.0
-            away = quat.multiply(part.start, quat.from_rotation_vector(turns))
-            other = _begin(part, away, state.shift[left].copy(), options)
-            _run(part, other, options)
-            better = other.cost < state.cost[left]
-            state.steps[left] += other.steps
-            for name in ("rotations", "shift", "cost", "miss", "done"):
-                getattr(state, name)[left[better]] = getattr(other, name)[better]
-    return state
+def _plan(solver: PoseSolver) -> _Plan | None:
+    """The plan of tasks that the compiled solver knows and whose rows can be filled from arrays alone."""
+    skeleton, options = solver.skeleton, solver.options
+    for task in solver.tasks:
+        if isinstance(task, Smoothness) or (isinstance(task, PosePrior) and task.pose is not None):
+            return None
+    if not solver.options.iterations or not _is_plain(skeleton.rest, skeleton):
+        return None
+    single: list[Task] = []
+    for task in solver.tasks:
+        own = {name: array for name, array, width in fields_of(task) if array.ndim > width}
+        if any(array.size == 0 for array in own.values()):
+            return None
+        first = {
+            name: array.reshape(-1, *array.shape[array.ndim - width :])[0] for name, array, width in fields_of(task)
+        }
+        single.append(replace(task, **first) if own else task)
+    problem = make_problem(skeleton, skeleton.rest, single, (), solver.limits, solver.fixed, solver.locked, solver.root)
+    problem = replace(problem, least_damping=least_damping(solver.tasks))
+    if not problem.terms or not is_compiled(problem):
+        return None
+    tables = make_tables(problem, options.tolerance_m, options.tolerance_rad, options.settled_rad, options.still_m)
+    tables.rows[:, : 4 * len(tables.joints)] = problem.start[:, tables.joints].reshape(1, -1)
+    tables.rows[:, tables.state[columns.DAMPING]] = options.damping
+    tables.rows[:, tables.state[columns.GROWTH]] = dense.GROWTH
+    return _with_places(solver, problem, tables)
 
 
-def _begin(problem: Problem, rotations: Floats, shift: Floats, options: SolveOptions) -> State:
-    count = len(rotations)
-    dense.hold(problem, rotations)
-    ones = np.ones(count)
-    return State(
-        rotations, shift, options.damping * ones, dense.GROWTH * ones, np.zeros(count), np.zeros(count),
-        np.zeros(count, bool), np.zeros(count), np.zeros(count, np.int64),
-    )  # fmt: skip
+def _with_places(solver: PoseSolver, problem: Problem, tables: Tables) -> _Plan:
+    """Where in a row the targets are, and all else that differs from pose to pose."""
+    targets: list[_Field | None] = [None] * len(solver.tasks)
+    varying: list[tuple[_Field, Floats]] = []
+    follow = {one.joint for one in problem.limited if one.follows}
+    from_start = [(joint, at) for joint, at in tables.homes if joint in follow]
+    joints = tables.arguments[4][columns.T_JOINT :: columns.TERM_COLUMNS]
+    kinds = tables.arguments[4][:: columns.TERM_COLUMNS]
+    for (n, first), joint, kind in zip(tables.terms, joints.tolist(), kinds.tolist(), strict=True):
+        task, at = solver.tasks[n], first
+        if kind == columns.PRIOR and isinstance(task, PosePrior) and task.pose is None:
+            from_start.append((int(tables.joints[joint]), at))
+        for name, array, width in fields_of(task):
+            size = array.shape[-1] if width else 1
+            field = _Field(n, name, at, size)
+            if name == target_of(task):
+                targets[n] = field
+            if array.ndim > width:
+                if name == "normal" or (name == "target" and size == 4):
+                    array = array / np.linalg.norm(array, axis=-1, keepdims=True)
+                varying.append((field, array if width else array[..., None]))
+            at += size
+    return _Plan(problem, tables, tuple(targets), tuple(varying), tuple(from_start))
 
 
-def _run(problem: Problem, state: State, options: SolveOptions) -> None:
-    count = len(state.cost)
-    if not count:
-        return
-    tolerances = options.tolerance_m, options.tolerance_rad, options.settled_rad
-    work = count * problem.skeleton.joint_count * min(options.iterations, _TYPICAL_STEPS)
-    if options.iterations and problem.terms and is_compiled(problem):
-        kernels = kernels_for("fullbody", work, problem.start)
-        if kernels is not None:
-            solve_compiled(problem, state, kernels.solve_rows, options.iterations, *tolerances)
-            return
-    for first in range(0, count, _AT_ONCE):
-        rows = np.arange(first, min(first + _AT_ONCE, count))
-        part, some = problem.take(rows), state.take(rows)
-        dense.measure(part, some, *tolerances[:2])
-        for _ in range(options.iterations):
-            dense.step(part, some, *tolerances)
-            if some.done.all():
-                break
-        state.put(rows, some)
-
-
-def _in_order(problem: Problem, batch: tuple[int, ...], options: SolveOptions) -> State:
-    """Frame after frame, each with the one before as what to stay near."""
-    frames, each = batch[0], len(problem.start) // max(batch[0], 1)
-    count = len(problem.start)
-    whole = _begin(problem, problem.start.copy(), np.zeros((count, 3)), options)
-    before: State | None = None
-    for frame in range(frames):
-        rows = np.arange(frame * each, (frame + 1) * each)
-        part = problem.take(rows)
-        terms: list[Term] = []
-        for term in part.terms:
-            if term.kind is not Smoothness:
-                terms.append(term)
-            elif before is not None:
-                moved = problem.offsets[rows - each, problem.mover] - problem.offsets[rows, problem.mover]
-                if problem.mover >= 0 and problem.parents[problem.mover] >= 0:
-                    above = rotation_above(problem.skeleton, part.start, int(problem.mover))
-                    moved = quat.rotate(above, moved)
-                terms.append(replace(term, target=before.rotations, offset=before.shift + moved))
-        before = _solve(replace(part, terms=tuple(terms)), options)
-        whole.put(rows, before)
-    return whole
-
-
-def _result(problem: Problem, pose: Pose, batch: tuple[int, ...], state: State, options: SolveOptions) -> IkResult:
-    dtype = np.result_type(np.asarray(pose.rotations).dtype, np.float32)
-    joints = problem.skeleton.joint_count
-    translations = np.asarray(pose.translations, np.float64)
-    if problem.mover >= 0:
-        translations = np.array(np.broadcast_to(translations, (*batch, joints, 3))).reshape(-1, joints, 3)
-        translations[:, problem.mover] += _in_parent(problem, pose, batch, state.shift)
-        translations = translations.reshape(*batch, joints, 3)
-    rotations = state.rotations.reshape(*batch, joints, 4)
-    solved = Pose(translations.astype(dtype), rotations.astype(dtype), pose.scales)
-    turned, places = (
-        np.asarray(a, np.float64).reshape(len(state.cost), *a.shape[-2:])
-        for a in world_rotations_positions(
-            problem.skeleton, Pose(translations, rotations, np.asarray(pose.scales, np.float64))
-        )
-    )
-    residuals = tuple(_residual(problem, term, state, turned, places, batch) for term in problem.terms)
-    outcome = np.where(state.miss <= 1.0, 0, np.where(state.done, 1, 2)).reshape(batch)
-    return IkResult(solved, residuals, state.cost.reshape(batch), state.steps.astype(np.int64).reshape(batch), outcome)
-
-
-def _in_parent(problem: Problem, pose: Pose, batch: tuple[int, ...], shift: Floats) -> Floats:
-    """A displacement in the model's space along the axes of the moving joint's parent, before its scale."""
-    parent = int(problem.parents[problem.mover])
-    if parent < 0:
-        return shift
-    scale = np.ones(len(shift))
-    joint = parent
-    scales = np.broadcast_to(np.asarray(pose.scales, np.float64), (*batch, problem.skeleton.joint_count, 3))
-    scales = scales.reshape(len(shift), -1, 3).mean(axis=-1)
-    while joint >= 0:
-        scale = scale * scales[:, joint]
-        joint = int(problem.parents[joint])
-    above = rotation_above(problem.skeleton, problem.start, problem.mover)
-    return quat.rotate(quat.conjugate(above), shift) / scale[:, None]
-
-
-def _residual(
-    problem: Problem, term: Term, state: State, turned: Floats, places: Floats, batch: tuple[int, ...]
-) -> TaskResidual:
-    distance: Floats | None = None
-    angle: Floats | None = None
-    for rows in dense.rows_of(problem, term, state.rotations, state.shift, turned, places):
-        size = np.linalg.norm(rows.residual, axis=-1)
-        if rows.soft and rows.angular:
-            parts = np.linalg.norm(rows.residual.reshape(len(size), -1, 3), axis=-1)
-            size = parts.max(axis=-1, initial=0.0)
-        if rows.angular:
-            angle = size.reshape(batch)
-        else:
-            distance = size.reshape(batch)
-    return TaskResidual(distance, angle)
+def _is_plain(pose: Pose, skeleton: Skeleton) -> bool:
+    return pose.joint_count == skeleton.joint_count and bool(np.all(np.asarray(pose.scales) == 1.0))

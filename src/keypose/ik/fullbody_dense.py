@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from keypose.arrays import Array, Floats, Ints
-from keypose.ik.fullbody_limits import FREE, HELD, bounds_met, edge_of_cone
+from keypose.ik.fullbody_limits import FREE, bounds_met, edge_of_cone, pulls_of
 from keypose.ik.fullbody_problem import Problem, Term
 from keypose.ik.limits import Cone, clamp_rotation
 from keypose.ik.tasks import (
@@ -31,6 +31,8 @@ SLOW = 0.5  # a step that leaves more than this share of the cost calls for curv
 PASSES = 2
 SAME = 0.03  # radians between directions that are one
 ROUNDING = 1e-15
+CALM = 3  # steps in a row that change nothing
+FIRM = 1e4  # times the least damping: steps damped more say nothing about what is left to gain
 
 
 @dataclass(slots=True)
@@ -46,6 +48,7 @@ class State:
     miss: Floats
     done: Array
     curved: Floats
+    calm: Floats
     steps: Ints
 
     def take(self, rows: Ints) -> State:
@@ -194,6 +197,15 @@ def cost_of(rows: list[Rows], count: int) -> Floats:
     return total
 
 
+def _sizes(rows: list[Rows], count: int) -> Floats:
+    """How much is left of everything asked for (N, k): metres, radians; of priors joint by joint."""
+    found = [np.zeros((count, 0))]
+    for r in rows:
+        parts = r.residual.reshape(count, -1, 3) if r.soft else r.residual[:, None]
+        found.append(np.linalg.norm(parts, axis=-1))
+    return np.concatenate(found, axis=1)
+
+
 def miss_of(rows: list[Rows], count: int, tolerance_m: float, tolerance_rad: float) -> Floats:
     """The worst of the hard tasks (N,), in tolerances."""
     worst = np.zeros(count)
@@ -230,7 +242,9 @@ def measure(problem: Problem, state: State, tolerance_m: float, tolerance_rad: f
     state.done |= state.miss <= 1.0
 
 
-def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: float, settled: float) -> None:
+def step(
+    problem: Problem, state: State, tolerance_m: float, tolerance_rad: float, settled: float, still: float
+) -> None:
     """One trial step of every solve that is not done; the cost only ever falls."""
     left = np.flatnonzero(~state.done)
     if not len(left):
@@ -255,7 +269,7 @@ def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: floa
         new, moved = apply(part, rotations, shift, turned, change)
     new_rows = evaluate(part, new, moved)[2]
     cost = cost_of(new_rows, len(shift))
-    better = sound & (cost < old)
+    better, moved_by = sound & (cost < old), change
     taken = left[better]
     state.rotations[taken], state.shift[taken], state.cost[taken] = new[better], moved[better], cost[better]
     state.miss[taken] = miss_of(new_rows, len(shift), tolerance_m, tolerance_rad)[better]
@@ -265,7 +279,11 @@ def step(problem: Problem, state: State, tolerance_m: float, tolerance_rad: floa
     state.growth[left] = np.where(better, GROWTH, 2.0 * state.growth[left])
     state.curved[left] = np.where(better, cost > SLOW * old, sound & (state.curved[left] > 0))
     state.steps[left] += 1
-    small = sound & ((np.max(np.abs(change), axis=1, initial=0.0) < settled) | (np.abs(promised) < ROUNDING * old))
+    change = np.abs(_sizes(new_rows, len(shift)) - _sizes(rows, len(shift))).max(axis=1, initial=0.0)
+    calm = np.where(change >= still, 0.0, state.calm[left] + (damping <= FIRM * part.least_damping))
+    state.calm[left] = np.where(better, calm, state.calm[left])
+    small = sound & ((np.max(np.abs(moved_by), axis=1, initial=0.0) < settled) | (np.abs(promised) < ROUNDING * old))
+    small |= state.calm[left] >= CALM
     state.done[left] = (state.miss[left] <= 1.0) | small | (state.damping[left] >= MOST_FACTOR)
 
 
@@ -368,29 +386,35 @@ def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floa
         directions, sides = bounds_met(one.limit, rotations[:, one.joint], one.home)
         if parent >= 0:
             directions = quat.rotate(turned[:, parent, None], directions)
-        pull = -np.einsum("nki,ni->nk", directions, gradient[:, 3 * one.joint : 3 * one.joint + 3])
-        blocked = (sides == HELD) | ((sides != FREE) & (pull * sides > 0))
+        blocked, _ = pulls_of(one.limit, directions, sides, -gradient[:, 3 * one.joint : 3 * one.joint + 3])
         free[:, one.joint] = _complement(free[:, one.joint], directions * blocked[..., None])
     return free
 
 
 def _edges(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
-    """How joints that are pulled over the edges of their cones stiffen along them: blocks of the Hessian (N, C, C)."""
+    """How joints that are pulled over the edges of their cones stiffen: blocks of the Hessian (N, C, C).
+
+    A turn along the edge leaves the cone by what the edge is curved, and by half of what the joint turns about its axis
+    meanwhile; coming back inside costs as much as it is pulled outwards.
+    """
     out = np.zeros((len(rotations), gradient.shape[1], gradient.shape[1]))
     for one in problem.limited:
         limit, joint, parent = one.limit, one.joint, int(problem.parents[one.joint])
         if not isinstance(limit, Cone):
             continue
         directions, sides = bounds_met(limit, rotations[:, joint], one.home)
-        normal = directions[:, 1] if parent < 0 else quat.rotate(turned[:, parent], directions[:, 1])
-        own = slice(3 * joint, 3 * joint + 3)
-        pull = -np.sum(normal * gradient[:, own], axis=-1) * (sides[:, 1] != FREE)
+        if parent >= 0:
+            directions = quat.rotate(turned[:, parent, None], directions)
+        own, normal = slice(3 * joint, 3 * joint + 3), directions[:, 1]
+        pull = pulls_of(limit, directions, sides, -gradient[:, own])[1][:, 1, None, None]
         center = np.broadcast_to(np.asarray(limit.center, np.float64), one.home.shape)
         turn = quat.multiply(quat.conjugate(quat.multiply(one.home, center)), rotations[:, joint])
         axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
-        along = np.cross(quat.rotate(turned[:, joint], np.broadcast_to(axis, normal.shape)), normal)
-        along = along * np.sqrt(np.maximum(pull * edge_of_cone(limit, turn), 0.0))[:, None]
-        out[:, own, own] = along[:, :, None] * along[:, None, :]
+        axis = quat.rotate(turned[:, joint], np.broadcast_to(axis, normal.shape))
+        along = np.cross(axis, normal)
+        mixed = along[:, :, None] * axis[:, None, :]
+        bent = edge_of_cone(limit, turn)[:, None, None] * along[:, :, None] * along[:, None, :]
+        out[:, own, own] = pull * (bent - 0.5 * (mixed + np.swapaxes(mixed, 1, 2)))
     return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from keypose.arrays import Floats, Ints
+from keypose.arrays import Array, Floats, Ints
 from keypose.ik.limits import Cone, EulerRange, Hinge, JointLimit, swing_axes
 from keypose.math import euler, quat
 
@@ -126,21 +126,52 @@ def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
     return _turned(frame, directions), sides
 
 
-def edge_of_cone(limit: Cone, turn: Floats) -> Floats:
-    """How curved the edge of a cone is where a joint is turned (N, 4) from its middle, per radian (N,); 0 where it bends away.
+def pulls_of(limit: JointLimit, directions: Floats, sides: Ints, pull: Floats) -> tuple[Array, Floats]:
+    """Which bounds are in the way of a joint (N, 3), and how hard it is pulled over each (N, 3).
 
-    That of the ellipse in the plane of swings, less as much as a circle's is less on the sphere.
+    Shapes and units: ``directions``, ``sides`` of `bounds_met`; ``pull`` (N, 3) the negative gradient of the cost. Where a
+    joint stands at both bounds of a cone, they push back as much as keeps it from crossing either, and never pull.
+    """
+    length = np.maximum(np.linalg.norm(directions, axis=-1), 1e-300)
+    force = np.einsum("nki,ni->nk", directions, pull) / length * np.where(sides == LOW, -1.0, 1.0)
+    blocked = (sides == HELD) | ((sides != FREE) & (force > 0.0))
+    if not isinstance(limit, Cone):
+        return blocked, force * blocked
+    both = (sides[:, 0] != FREE) & (sides[:, 1] != FREE)
+    held = sides[:, 0] == HELD
+    way = np.sum(directions[:, 0] * directions[:, 1], axis=-1) / (length[:, 0] * length[:, 1])
+    way = way * np.where(sides[:, 0] == LOW, -1.0, 1.0)
+    first, second = force[:, 0], force[:, 1]
+    rest = second - way * first
+    pair = both & (rest > 0.0) & (held | (first > way * second))
+    twist = both & ~pair & (held | ((first > 0.0) & (rest <= 0.0)))
+    swing = both & ~pair & ~twist
+    blocked[:, 0] = np.where(both, pair | twist, blocked[:, 0])
+    blocked[:, 1] = np.where(both, pair | (swing & (second > 0.0)), blocked[:, 1])
+    force[:, 1] = np.where(pair, rest / np.maximum(1.0 - way * way, 1e-6), second)
+    return blocked, force * blocked
+
+
+def edge_of_cone(limit: Cone, turn: Floats) -> Floats:
+    """How curved the edge of a cone is on the sphere where a joint is turned (N, 4) from its middle, per radian (N,).
+
+    The second derivative along the edge of what is bounded, over its slope across, in the angles of spherical coordinates.
     """
     axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
     u, other = swing_axes(limit)
     pointed = quat.rotate(turn, np.broadcast_to(axis, (len(turn), 3)))
     first, second, cosine = pointed @ u, pointed @ other, pointed @ axis
     sine = np.maximum(np.hypot(first, second), 1e-12)
-    angle = np.arctan2(sine, cosine)
-    a, b = limit.swings
-    across = (angle * second / sine / a**2) ** 2 + (angle * first / sine / b**2) ** 2
-    bent = angle * cosine / sine / (a**2 * b**2 * np.maximum(across, 1e-300) ** 1.5)
-    return np.where((cosine > 0.0) & (sine > 1e-6), bent, 0.0)
+    angle, cos, sin = np.arctan2(sine, cosine), first / sine, second / sine
+    ra, rb = 1.0 / limit.swings[0] ** 2, 1.0 / limit.swings[1] ** 2
+    shape, slope = sin * sin * ra + cos * cos * rb, 2.0 * sin * cos * (ra - rb)
+    by_angle, by_way = 2.0 * angle * shape, angle**2 * slope / sine
+    steep = np.maximum(np.hypot(by_angle, by_way), 1e-300)
+    along, around = -by_way / steep, by_angle / (steep * sine)
+    bent = 2.0 * shape * along**2 + 4.0 * angle * slope * along * around
+    bent += 2.0 * angle**2 * (cos**2 - sin**2) * (ra - rb) * around**2
+    bent += by_angle * sine * cosine * around**2 - 2.0 * by_way * cosine * along * around
+    return np.where(sine > 1e-6, bent / steep, 0.0)
 
 
 def _turned(frame: Floats, directions: Floats) -> Floats:

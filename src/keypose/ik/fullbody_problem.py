@@ -83,6 +83,7 @@ class Limited:
     joint: int
     limit: JointLimit
     home: Floats
+    follows: bool = False  # from where the joint starts, not from its rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +129,7 @@ class Problem:
             )
             for t in self.terms
         )
-        limited = tuple(Limited(one.joint, one.limit, one.home[rows]) for one in self.limited)
+        limited = tuple(replace(one, home=one.home[rows]) for one in self.limited)
         return replace(self, offsets=self.offsets[rows], start=self.start[rows], terms=terms, limited=limited)
 
 
@@ -210,10 +211,34 @@ def make_problem(
     terms = tuple(_term(skeleton, task, batch, scale, start) for task in tasks)
     if mover >= 0:
         terms = tuple(_with_root_path(term, skeleton, mover, batch, translations, start, over) for term in terms)
-    # Rounding grows with the square of the weights over the damping.
-    most = max((float(np.max(t.weight)) for t in terms if t.weight.size), default=1.0)
-    least = LEAST_DAMPING * max(most, 1e-6) ** 2
+    least = least_damping(tasks)
     return Problem(skeleton, offsets, start, free, upright, mover, ways, above, terms, limited, least)
+
+
+def least_damping(tasks: Sequence[Task]) -> float:
+    """What no damping falls below: rounding grows with the square of the weights over it."""
+    weights = [np.asarray(t.weight) for t in tasks if not isinstance(t, (PosePrior, Smoothness))]
+    most = max((float(w.max()) for w in weights if w.size), default=1.0)
+    return LEAST_DAMPING * max(most, 1e-6) ** 2
+
+
+def fields_of(task: Task) -> list[tuple[str, Floats, int]]:
+    """Name, array and number of axes that are no batch, of what may differ from pose to pose, in the order of the tables."""
+    return [(name, np.asarray(getattr(task, name)), width) for name, width in _BATCHED.get(type(task), ())]
+
+
+def target_of(task: Task) -> str:
+    """The name of the part of a task that says where to; empty for priors."""
+    if isinstance(task, RelativeTask):
+        return "rotation" if task.position is None else "position"
+    if isinstance(task, ContactTask):
+        return "point"
+    return "" if isinstance(task, (PosePrior, Smoothness)) else "target"
+
+
+def with_target(task: Task, target: Floats) -> Task:
+    """The task with another target."""
+    return replace(task, **{target_of(task): target})
 
 
 def _above(skeleton: Skeleton) -> Ints:
@@ -297,7 +322,7 @@ def _limited(
         if not left:
             free[joint] = 0
         elif free[joint]:
-            found.append(Limited(joint, _lock(left, axes), start[:, joint]))
+            found.append(Limited(joint, _lock(left, axes), start[:, joint], True))
     return tuple(found)
 
 

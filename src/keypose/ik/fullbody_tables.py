@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +26,7 @@ from keypose.kernels import fullbodytables as columns
 from keypose.math import quat
 
 _FEW_STEPS = 8  # after which solves that are done make room for others
+_ALONE = 2  # up to so many are solved one by one
 
 
 def is_compiled(problem: Problem) -> bool:
@@ -39,36 +39,51 @@ def is_compiled(problem: Problem) -> bool:
 def solve_compiled(
     problem: Problem,
     state: State,
-    solve_rows: Callable[..., None],
+    kernels: Any,
     steps: int,
     tolerance_m: float,
     tolerance_rad: float,
     settled: float,
+    still: float,
 ) -> None:
     """Bring all solves to their end, or as far as so many steps go; the state is changed in place."""
-    tables = make_tables(problem, tolerance_m, tolerance_rad, settled)
-    rows = tables.rows
+    tables = make_tables(problem, tolerance_m, tolerance_rad, settled, still)
     tables.write(state)
-    left = np.flatnonzero(~state.done)
+    run_rows(kernels, tables, tables.rows, np.flatnonzero(~state.done), steps)
+    tables.read(state)
+
+
+def run_rows(kernels: Any, tables: Tables, rows: Floats, left: Ints, steps: int) -> None:
+    """Take the solves of some rows as far as so many steps go; rows that are done make room for others."""
     done, taken, few = tables.state[columns.DONE], 0, _FEW_STEPS
+    flat, width = rows.reshape(-1), rows.shape[1]
+    if len(left) <= _ALONE:
+        kernels.solve_alone(flat, width, left, steps, *tables.arguments)
+        return
     while len(left) and taken < steps:
         few = min(few, steps - taken)
-        solve_rows(rows.reshape(-1), rows.shape[1], left, few, *tables.arguments)
+        kernels.solve_rows(flat, width, left, few, *tables.arguments)
         taken += few
         few *= 2
         left = left[rows[left, done] == 0.0]
-    tables.read(state)
 
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """``rows`` (N, columns) of everything a solve has of its own, which ``joints`` they hold, and what all share."""
+    """``rows`` (N, columns) of everything a solve has of its own, which ``joints`` they hold, and what all share.
+
+    ``terms``: the term of each entry in the table, and where its data begin; ``homes``: joints of limits and where they
+    count from; ``entries``: the first column of what is left of each entry.
+    """
 
     joints: Ints
     rows: Floats
     state: dict[int, int]
     arguments: tuple[Any, ...]
     names: tuple[tuple[int, str], ...]
+    terms: tuple[tuple[int, int], ...]
+    homes: tuple[tuple[int, int], ...]
+    entries: int
 
     def write(self, state: State) -> None:
         """Put where the solves are into the rows."""
@@ -87,7 +102,7 @@ class Tables:
             getattr(state, name)[:] = self.rows[:, self.state[column]]
 
 
-def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, settled: float) -> Tables:
+def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, settled: float, still: float) -> Tables:
     """The tables of a problem that `is_compiled`."""
     count, parents = len(problem.start), problem.parents
     used = _used(problem)
@@ -99,21 +114,24 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
     joints[:, columns.J_LIMIT] = -1
     if problem.upright >= 0:
         joints[place[problem.upright], columns.J_KIND] = columns.UPRIGHT
+    entries = [(n, *entry) for n, term in enumerate(problem.terms) for entry in _entries(problem, term)]
     writer = _Writer(count)
+    writer.add(np.zeros((count, 2 * len(entries))))  # what is left of each, at the best pose and at the last
     terms: list[list[int]] = []
-    for term in problem.terms:
-        for kind, joint, option, values in _entries(problem, term):
-            terms.append([kind, int(place[joint]), writer.width, option])
-            writer.add(*values)
-            if kind == columns.PRIOR:
-                joints[place[joint], columns.J_PRIOR] = 1
+    for _, kind, joint, option, values in entries:
+        terms.append([kind, int(place[joint]), writer.width, option])
+        writer.add(*values)
+        if kind == columns.PRIOR:
+            joints[place[joint], columns.J_PRIOR] = 1
     limits: list[list[int]] = []
+    homes: list[tuple[int, int]] = []
     numbers: list[Floats] = []
     for one in problem.limited:
         if place[one.joint] >= 0:
             joints[place[one.joint], columns.J_LIMIT] = len(limits)
             kind, home, axes, table = _limit_entry(one)
             limits.append([kind, int(place[one.joint]), writer.width, *axes])
+            homes.append((one.joint, writer.width))
             writer.add(home)
             numbers.append(table)
     options = np.zeros(columns.OPTIONS)
@@ -122,6 +140,7 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
         (columns.O_SHRINK, dense.SHRINK), (columns.O_GROWTH, dense.GROWTH), (columns.O_LEAST, dense.LEAST_FACTOR),
         (columns.O_MOST, dense.MOST_FACTOR), (columns.O_FLOOR, problem.least_damping), (columns.O_SLOW, dense.SLOW),
         (columns.O_ROUNDING, dense.ROUNDING), (columns.O_PASSES, dense.PASSES),
+        (columns.O_STILL, still), (columns.O_CALM, dense.CALM), (columns.O_FIRM, dense.FIRM),
     ):  # fmt: skip
         options[column] = value
     size = len(used)
@@ -137,9 +156,14 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
     )  # fmt: skip
     names = (
         (columns.DAMPING, "damping"), (columns.GROWTH, "growth"), (columns.COST, "cost"), (columns.MISS, "miss"),
-        (columns.DONE, "done"), (columns.CURVED, "curved"), (columns.STEPS, "steps"),
+        (columns.DONE, "done"), (columns.CURVED, "curved"), (columns.CALM, "calm"), (columns.STEPS, "steps"),
     )  # fmt: skip
-    return Tables(used, rows, {column: start + column for column, _ in names}, arguments, names)
+    first = start + columns.STATES
+    return Tables(
+        used, rows, {column: start + column for column, _ in names}, arguments, names,
+        tuple((entry[0], first + term[2]) for entry, term in zip(entries, terms, strict=True)),
+        tuple((joint, first + at) for joint, at in homes), first,
+    )  # fmt: skip
 
 
 def _used(problem: Problem) -> Ints:

@@ -1,7 +1,8 @@
 # pyright: basic
 """Full-body inverse kinematics: damped Newton steps in time linear in joints and tasks, one solve per lane.
 
-A row of the table holds everything of one solve: rotations, offsets, displacement of the root, state, and the tasks' data.
+A row of the table holds everything of one solve: rotations, offsets, displacement of the root, state, what is left of each
+term, and the tasks' data.
 Lanes take a step, keep it where the cost fell, and set their damping each for itself. A step allocates nothing.
 """
 
@@ -12,6 +13,7 @@ from keypose.kernels.fullbodystep import eliminate, follow, gather_forces
 from keypose.kernels.fullbodytables import (
     BEST,
     BEST_SIDE,
+    CALM,
     COST,
     CURVED,
     DAMPING,
@@ -22,6 +24,8 @@ from keypose.kernels.fullbodytables import (
     J_LIMIT,
     JOINT_COLUMNS,
     MISS,
+    O_CALM,
+    O_FIRM,
     O_FLOOR,
     O_GROWTH,
     O_LEAST,
@@ -31,6 +35,7 @@ from keypose.kernels.fullbodytables import (
     O_SETTLED,
     O_SHRINK,
     O_SLOW,
+    O_STILL,
     O_TOLERANCE_M,
     O_TOLERANCE_RAD,
     SAVED,
@@ -43,7 +48,7 @@ from keypose.kernels.fullbodytables import (
 from keypose.kernels.fullbodytasks import forward, gather_tasks
 from keypose.kernels.rotations import load3, load4, store3, store4
 from keypose.kernels.runtime import kernel, scratch_like
-from keypose.kernels.vectors import fill, lanes, load, pointer, store
+from keypose.kernels.vectors import fill, lanes, load, pointer, pointer_alone, store
 
 _EXTRA = 36
 
@@ -53,10 +58,32 @@ def solve_rows(
     rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options
 ):  # fmt: skip
     """Solve some rows of a flat table in place, as many at a time as a vector has lanes, for up to so many steps each."""
-    n, total, first = lanes(rows), picked.shape[0], 0
+    n = lanes(rows)
     memory = scratch_like(rows, (columns + count * SLOTS + _EXTRA) * n)
-    row = pointer(memory)
-    state = 7 * count + 3
+    _solve_blocks(
+        rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
+        options, memory, pointer(memory), n,
+    )  # fmt: skip
+
+
+@kernel
+def solve_alone(
+    rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options
+):  # fmt: skip
+    """The same, one row at a time: for fewer rows than a vector has lanes."""
+    memory = scratch_like(rows, columns + count * SLOTS + _EXTRA)
+    _solve_blocks(
+        rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
+        options, memory, pointer_alone(memory), 1,
+    )  # fmt: skip
+
+
+@kernel
+def _solve_blocks(
+    rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options,
+    memory, row, n,
+):  # fmt: skip
+    total, first, state = picked.shape[0], 0, 7 * count + 3
     while first < total:
         for k in range(n):
             at = picked[min(first + k, total - 1)] * columns
@@ -70,7 +97,7 @@ def solve_rows(
             at = picked[first + k] * columns
             for c in range(4 * count):
                 rows[at + c] = memory[c * n + k]
-            for c in range(7 * count, state + STATES):
+            for c in range(7 * count, state + STATES + term_count):
                 rows[at + c] = memory[c * n + k]
         first += n
 
@@ -102,6 +129,8 @@ def _solve_block(
         if row[miss + k] <= 1.0:
             row[state + DONE * n + k] = 1.0
     _keep(joints, count, row, q, shift, best_shift, work, n)
+    for t in range(term_count * n):
+        row[data + t] = row[data + term_count * n + t]
     for _ in range(steps):
         running, curved = False, False
         for k in range(n):
@@ -147,7 +176,9 @@ def _solve_block(
         gather_tasks(
             joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
         )
-        lost, idle, bends = _judge(row, n, state, live, cost, miss, promised, size, sound, options)
+        lost, idle, bends = _judge(
+            row, n, state, live, cost, miss, promised, size, sound, damping, data, term_count, options
+        )
         if lost or idle:
             _restore(joints, count, row, q, shift, best_shift, work, n, live)
         _keep(joints, count, row, q, shift, best_shift, work, n)
@@ -160,7 +191,7 @@ def _solve_block(
 
 
 @kernel
-def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
+def _judge(row, n, state, live, cost, miss, promised, size, sound, damping, left, term_count, options):
     """Take what is better and set the damping; ``live`` becomes 0 where nothing was taken.
 
     Whether there is such a one, whether any solve was done before, and whether any wants curvature.
@@ -180,6 +211,17 @@ def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
             row[g] = options[O_GROWTH]
             row[v] = 1.0 if new > options[O_SLOW] * old else 0.0
             row[c], row[state + MISS * n + k] = new, row[miss + k]
+            change = 0.0
+            for t in range(left + k, left + k + term_count * n, n):
+                after = row[t + term_count * n]
+                change = max(change, abs(after - row[t]))
+                row[t] = after
+            # What moves nothing though hardly damped has come to its end, however far it drifts.
+            firm = row[damping + k] > options[O_FIRM] * options[O_FLOOR]
+            if change >= options[O_STILL]:
+                row[state + CALM * n + k] = 0.0
+            elif not firm:
+                row[state + CALM * n + k] += 1.0
         else:
             row[d] *= row[g]
             row[g] *= 2.0
@@ -188,7 +230,10 @@ def _judge(row, n, state, live, cost, miss, promised, size, sound, options):
             lost = True
         row[d] = min(max(row[d], options[O_LEAST]), options[O_MOST])
         row[state + STEPS * n + k] += 1.0
-        still = sane and (row[size + k] < options[O_SETTLED] or abs(row[promised + k]) < options[O_ROUNDING] * old)
+        calm = row[state + CALM * n + k] >= options[O_CALM]
+        still = calm or (
+            sane and (row[size + k] < options[O_SETTLED] or abs(row[promised + k]) < options[O_ROUNDING] * old)
+        )
         if row[state + MISS * n + k] <= 1.0 or still or row[d] >= options[O_MOST]:
             row[state + DONE * n + k] = 1.0
         elif row[v] != 0.0:

@@ -224,7 +224,7 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
     for k in range(n):
         for m in range(9):
             row[out + m * n + k] = 0.0
-        for m in range(3):
+        for m in range(6):
             row[w + (EDGE + m) * n + k] = 0.0
         if row[side + k] == 0.0 and row[side + n + k] == 0.0 and row[side + 2 * n + k] == 0.0:
             continue
@@ -237,19 +237,46 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
         if joints[joint * JOINT_COLUMNS + J_PRIOR]:
             gx, gy = gx + row[w + PRIOR_PULL * n + k], gy + row[w + (PRIOR_PULL + 1) * n + k]
             gz = gz + row[w + (PRIOR_PULL + 2) * n + k]
+        if limits[limit * LIMIT_COLUMNS + L_KIND] == CONE:
+            first, second = _cone_pulls(row[side + k], row[side + n + k], found, gx, gy, gz)
+            if first:
+                _block(row, out, n, k, found[0], found[1], found[2])
+            if second > 0.0:
+                _block(row, out, n, k, found[3], found[4], found[5])
+                _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, second, found[3], found[4], found[5])
+            continue
         for m in range(3):
             bound = row[side + m * n + k]
             x, y, z = found[3 * m], found[3 * m + 1], found[3 * m + 2]
-            pull = 0.0 - (x * gx + y * gy + z * gz)
-            if bound == 2.0 or pull * bound > 0.0:
+            if bound == 2.0 or (x * gx + y * gy + z * gz) * bound < 0.0:
                 _block(row, out, n, k, x, y, z)
-                if m == 1 and limits[limit * LIMIT_COLUMNS + L_KIND] == CONE:
-                    _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, x, y, z)
+
+
+@kernel
+def _cone_pulls(twist, swing, found, gx, gy, gz):
+    """Whether the bound of the twist is in the way, and how hard a joint is pulled over that of the swing.
+
+    Where it stands at both, they push back as much as keeps it from crossing either, and never pull.
+    """
+    x, y, z = found[0], found[1], found[2]
+    scale = 1.0 / max(np.sqrt(x * x + y * y + z * z), 1e-300)
+    scale = 0.0 - scale if twist < 0.0 else scale
+    x, y, z = scale * x, scale * y, scale * z
+    first, second = 0.0 - (x * gx + y * gy + z * gz), 0.0 - (found[3] * gx + found[4] * gy + found[5] * gz)
+    both = x * found[3] + y * found[4] + z * found[5]
+    if twist == 0.0 or swing == 0.0:
+        return twist == 2.0 or (twist != 0.0 and first > 0.0), second if swing != 0.0 else 0.0
+    rest = second - both * first
+    if rest > 0.0 and (twist == 2.0 or first > both * second):
+        return True, rest / max(1.0 - both * both, 1e-6)
+    if twist == 2.0 or (first > 0.0 and rest <= 0.0):
+        return True, 0.0
+    return False, second
 
 
 @kernel
 def _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, nx, ny, nz):
-    """How much a joint that is pulled over the edge of its cone stiffens along it; see `keypose.ik.fullbody_limits`."""
+    """How a joint that is pulled over the edge of its cone stiffens; see `keypose.ik.fullbody_limits`."""
     at = limit * LIMIT_COLUMNS
     home, q = data + limits[at + L_HOME] * n + k, q + 4 * limits[at + L_JOINT] * n + k
     table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
@@ -262,18 +289,28 @@ def _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, nx, ny, n
     second = x * table[6] + y * table[7] + z * table[8]
     cosine = x * table[0] + y * table[1] + z * table[2]
     sine = np.sqrt(first * first + second * second)
-    if cosine <= 0.0 or sine < 1e-6:
+    if sine < 1e-6:
         return
-    angle = np.arctan2(sine, cosine)
-    ra, rb = table[9] * table[9], table[10] * table[10]
-    u, v = angle * second / (sine * ra), angle * first / (sine * rb)
-    bent = angle * cosine / sine / (ra * rb * (u * u + v * v) ** 1.5)
-    scale = np.sqrt(max(pull * bent, 0.0))
-    turn = w + TURN * n + k
+    angle, cos, sin = np.arctan2(sine, cosine), first / sine, second / sine
+    ra, rb = 1.0 / (table[9] * table[9]), 1.0 / (table[10] * table[10])
+    shape, slope = sin * sin * ra + cos * cos * rb, 2.0 * sin * cos * (ra - rb)
+    by_angle, by_way = 2.0 * angle * shape, angle * angle * slope / sine
+    steep = np.sqrt(by_angle * by_angle + by_way * by_way)
+    along, around = 0.0 - by_way / steep, by_angle / (steep * sine)
+    bent = 2.0 * shape * along * along + 4.0 * angle * slope * along * around
+    bent += 2.0 * angle * angle * (cos * cos - sin * sin) * (ra - rb) * around * around
+    bent += by_angle * sine * cosine * around * around - 2.0 * by_way * cosine * along * around
+    bent *= pull / steep
+    turn, half = w + TURN * n + k, 0.5 * pull
     x, y, z = quat_rotate(row[turn], row[turn + n], row[turn + 2 * n], row[turn + 3 * n], table[0], table[1], table[2])
-    x, y, z = cross(x, y, z, nx, ny, nz)
+    u, v, t = cross(x, y, z, nx, ny, nz)
     edge = w + EDGE * n + k
-    row[edge], row[edge + n], row[edge + 2 * n] = scale * x, scale * y, scale * z
+    row[edge] = bent * u * u - 2.0 * half * u * x
+    row[edge + n] = bent * u * v - half * (u * y + v * x)
+    row[edge + 2 * n] = bent * u * t - half * (u * z + t * x)
+    row[edge + 3 * n] = bent * v * v - 2.0 * half * v * y
+    row[edge + 4 * n] = bent * v * t - half * (v * z + t * y)
+    row[edge + 5 * n] = bent * t * t - 2.0 * half * t * z
 
 
 @kernel

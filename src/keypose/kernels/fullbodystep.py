@@ -177,8 +177,9 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
             ex, ey, ez = gx, gy, gz
             if curved and joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
                 x, y, z = load3(row, w + EDGE * n, n)
-                mxx, mxy, mxz = mxx + bend * x * x, mxy + bend * x * y, mxz + bend * x * z
-                myy, myz, mzz = myy + bend * y * y, myz + bend * y * z, mzz + bend * z * z
+                mxx, mxy, mxz = mxx + bend * x, mxy + bend * y, mxz + bend * z
+                x, y, z = load3(row, w + (EDGE + 3) * n, n)
+                myy, myz, mzz = myy + bend * x, myz + bend * y, mzz + bend * z
             if joints[j * JOINT_COLUMNS + J_PRIOR]:
                 x, y, z = load3(row, w + PRIOR_INERTIA * n, n)
                 mxx, mxy, mxz = mxx + x, mxy + y, mxz + z
@@ -307,8 +308,9 @@ def _gain_of_forced(joints, j, row, w, n, curved, lam, bend, gain, ox, oy, oz, v
     xy, xz, yz = 0.5 * (k1 + k3), 0.5 * (k2 + k6), 0.5 * (k5 + k7)
     if curved and joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
         mx, my, mz = load3(row, w + EDGE * n, n)
-        k0, xy, xz = k0 + bend * mx * mx, xy + bend * mx * my, xz + bend * mx * mz
-        k4, yz, k8 = k4 + bend * my * my, yz + bend * my * mz, k8 + bend * mz * mz
+        k0, xy, xz = k0 + bend * mx, xy + bend * my, xz + bend * mz
+        mx, my, mz = load3(row, w + (EDGE + 3) * n, n)
+        k4, yz, k8 = k4 + bend * mx, yz + bend * my, k8 + bend * mz
     if joints[j * JOINT_COLUMNS + J_PRIOR]:
         mx, my, mz = load3(row, w + PRIOR_PULL * n, n)
         gx, gy, gz = gx + mx, gy + my, gz + mz

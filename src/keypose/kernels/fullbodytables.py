@@ -6,7 +6,7 @@ POSITION, ORIENTATION, LOOK_AT, CONTACT, PRIOR, ROOT_PRIOR = range(6)
 HINGE, ANGLES, CONE = range(3)
 FREE, FIXED, UPRIGHT = range(3)  # kinds of joints
 # The state of a solve.
-DAMPING, GROWTH, COST, MISS, DONE, CURVED, STEPS, STATES = range(8)
+DAMPING, GROWTH, COST, MISS, DONE, CURVED, CALM, STEPS, STATES = range(9)
 # Columns of the tables of joints, terms and limits.
 J_PARENT, J_KIND, J_LIMIT, J_PRIOR, JOINT_COLUMNS = range(5)
 T_KIND, T_JOINT, T_AT, T_OPTION, TERM_COLUMNS = range(5)
@@ -14,7 +14,7 @@ L_KIND, L_JOINT, L_HOME, L_I, L_J, L_K, LIMIT_COLUMNS = range(7)
 LIMIT_NUMBERS = 20
 # What `options` says.
 O_TOLERANCE_M, O_TOLERANCE_RAD, O_SETTLED, O_SHRINK, O_GROWTH, O_LEAST = range(6)
-O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, OPTIONS = range(6, 12)
+O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, O_STILL, O_CALM, O_FIRM, OPTIONS = range(6, 15)
 BOUND = 1e-7  # radians (shares of a cone) within which a joint stands at its bound
 SAME = 0.03  # radians between directions that are one
 
@@ -24,5 +24,5 @@ SAME = 0.03  # radians between directions that are one
 TURN, PLACE, INERTIA, MIXED, MASS, TORQUE, FORCE, MOMENT, PULL, VIRIAL = 0, 4, 7, 13, 22, 28, 31, 34, 37, 40
 BY_TURN, BY_MOVE, BY_PULL, BEST, STEP, MOTION, FORCED = 49, 58, 67, 70, 74, 77, 84
 NORMALS, SIDE, BEST_SIDE, PRIOR_INERTIA, PRIOR_PULL, SAVED = 87, 96, 99, 102, 108, 111
-EDGE = 138  # the pull along a bound that is curved, for the curvature
-SLOTS, SUMS = 141, 27
+EDGE = 138  # six entries: how a bound that is curved stiffens what is pulled against it, for the curvature
+SLOTS, SUMS = 144, 27

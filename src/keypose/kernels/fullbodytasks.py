@@ -97,7 +97,7 @@ def _push(row, w, n, px, py, pz, fx, fy, fz):
 
 
 @kernel
-def _position(row, w, at, n, pointed, plain, cost, miss, per_m):
+def _position(row, w, at, left, n, pointed, plain, cost, miss, per_m):
     tx, ty, tz, weight = load4(row, at, n)
     px, py, pz = load3(row, w + PLACE * n, n)
     ww = weight * weight
@@ -127,8 +127,10 @@ def _position(row, w, at, n, pointed, plain, cost, miss, per_m):
     if plain:
         _push(row, w, n, px, py, pz, fx, fy, fz)
     squared = rx * rx + ry * ry + rz * rz
+    distance = sqrt(squared)
+    store(row, left, distance)
     add(row, cost, 0.5 * (ww * squared))
-    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * sqrt(squared)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * distance))
 
 
 @kernel
@@ -158,7 +160,7 @@ def _turn_inertia(row, vector, n, ww):
 
 
 @kernel
-def _orientation(row, w, at, n, near, plain, cost, miss, per_rad):
+def _orientation(row, w, at, left, n, near, plain, cost, miss, per_rad):
     a, b, c, d = load4(row, w + TURN * n, n)
     e, f, g, h = load4(row, at, n)
     weight = load(row, at + 4 * n)
@@ -173,6 +175,7 @@ def _orientation(row, w, at, n, near, plain, cost, miss, per_rad):
     if plain:
         add3(row, w + MOMENT * n, n, gx, gy, gz)
     angle = load(row, near + 7 * n)
+    store(row, left, angle)
     add(row, cost, 0.5 * (ww * (angle * angle)))
     store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * angle))
 
@@ -203,7 +206,7 @@ def _row_of_body(row, w, n, ww, ax, ay, az, vx, vy, vz, r, qx, qy, qz, plain):
 
 
 @kernel
-def _look_at(row, w, at, n, plain, cost, miss, per_rad):
+def _look_at(row, w, at, left, n, plain, cost, miss, per_rad):
     a, b, c, d = load4(row, w + TURN * n, n)
     tx, ty, tz, weight = load4(row, at, n)
     bx, by, bz = load3(row, at + 4 * n, n)
@@ -226,12 +229,14 @@ def _look_at(row, w, at, n, plain, cost, miss, per_rad):
     ax, ay, az = cross(bx, by, bz, sxz, syz, szz)
     _row_of_body(row, w, n, ww, ax + uy, ay - ux, az, sxz, syz, szz, rz, px, py, pz, plain)
     squared = rx * rx + ry * ry + rz * rz
+    angle = sqrt(squared)
+    store(row, left, angle)
     add(row, cost, 0.5 * (ww * squared))
-    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * sqrt(squared)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * angle))
 
 
 @kernel
-def _contact(row, w, at, n, on, plain, cost, miss, per_m):
+def _contact(row, w, at, left, n, on, plain, cost, miss, per_m):
     a, b, c, d = load4(row, w + TURN * n, n)
     ox, oy, oz = load3(row, at, n)
     nx, ny, nz = load3(row, at + 3 * n, n)
@@ -246,6 +251,7 @@ def _contact(row, w, at, n, on, plain, cost, miss, per_m):
         half = fill(row, 0.5)
         below = half - flip_sign(half, height)
         ww, height = ww * below, height * below
+    store(row, left, absolute(height))
     ax, ay, az = cross(bx, by, bz, nx, ny, nz)
     _row_of_body(row, w, n, ww, ax, ay, az, nx, ny, nz, height, px, py, pz, plain)
     add(row, cost, 0.5 * (ww * height * height))
@@ -253,7 +259,7 @@ def _contact(row, w, at, n, on, plain, cost, miss, per_m):
 
 
 @kernel
-def _prior(row, w, up, q, at, n, near, cost):
+def _prior(row, w, up, q, at, left, n, near, cost):
     """A joint's own prior: it weighs on the joint's turn alone, not on the body."""
     a, b, c, d = load4(row, q, n)
     e, f, g, h = load4(row, at, n)
@@ -272,16 +278,19 @@ def _prior(row, w, up, q, at, n, near, cost):
     add3(row, w + (PRIOR_INERTIA + 3) * n, n, yy, yz, zz)
     add3(row, w + PRIOR_PULL * n, n, gx, gy, gz)
     angle = load(row, near + 7 * n)
+    store(row, left, angle)
     add(row, cost, 0.5 * (ww * (angle * angle)))
 
 
 @kernel
-def _root_prior(row, w, shift, at, n, plain, cost):
+def _root_prior(row, w, shift, at, left, n, plain, cost):
     """A spring at the joint that moves, above which nothing does."""
     tx, ty, tz, weight = load4(row, at, n)
     x, y, z = load3(row, shift, n)
     x, y, z, ww = x - tx, y - ty, z - tz, weight * weight
-    add(row, cost, 0.5 * ww * (x * x + y * y + z * z))
+    squared = x * x + y * y + z * z
+    store(row, left, sqrt(squared))
+    add(row, cost, 0.5 * ww * squared)
     add(row, w + MASS * n, ww)
     add(row, w + (MASS + 3) * n, ww)
     add(row, w + (MASS + 5) * n, ww)
@@ -296,7 +305,7 @@ def _root_prior(row, w, shift, at, n, plain, cost):
 def gather_tasks(
     joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
 ):
-    """Inertias and forces of all tasks, cost and miss; the plain sums only where they are wanted."""
+    """Inertias and forces of all tasks, cost, miss and what is left of each; the plain sums only where they are wanted."""
     zero = fill(row, 0.0)
     last = VIRIAL + 9 if plain else MOMENT
     for j in range(count):
@@ -311,17 +320,17 @@ def gather_tasks(
     for t in range(term_count):
         k = t * TERM_COLUMNS
         kind, joint, option = terms[k + T_KIND], terms[k + T_JOINT], terms[k + T_OPTION]
-        w, at = work + joint * SLOTS * n, data + terms[k + T_AT] * n
+        w, at, left = work + joint * SLOTS * n, data + terms[k + T_AT] * n, data + (term_count + t) * n
         if kind == POSITION:
-            _position(row, w, at, n, option != 0, plain, cost, miss, per_m)
+            _position(row, w, at, left, n, option != 0, plain, cost, miss, per_m)
         elif kind == ORIENTATION:
-            _orientation(row, w, at, n, near, plain, cost, miss, per_rad)
+            _orientation(row, w, at, left, n, near, plain, cost, miss, per_rad)
         elif kind == LOOK_AT:
-            _look_at(row, w, at, n, plain, cost, miss, per_rad)
+            _look_at(row, w, at, left, n, plain, cost, miss, per_rad)
         elif kind == CONTACT:
-            _contact(row, w, at, n, option != 0, plain, cost, miss, per_m)
+            _contact(row, w, at, left, n, option != 0, plain, cost, miss, per_m)
         elif kind == PRIOR:
             up = joints[joint * JOINT_COLUMNS + J_PARENT]
-            _prior(row, w, work + up * SLOTS * n if up >= 0 else -1, q + 4 * joint * n, at, n, near, cost)
+            _prior(row, w, work + up * SLOTS * n if up >= 0 else -1, q + 4 * joint * n, at, left, n, near, cost)
         else:
-            _root_prior(row, w, shift, at, n, plain, cost)
+            _root_prior(row, w, shift, at, left, n, plain, cost)

@@ -72,6 +72,16 @@ class _IndexModel(models.PrimitiveModel):
         super().__init__(manager, vector, ir.VectorType(_INT, vector.lanes))
 
 
+class LonePointer(types.CPointer):
+    """A bare address of numbers that are worked on one by one: its vectors have a single lane."""
+
+    def __init__(self, dtype: types.Type) -> None:
+        super().__init__(dtype)
+        self.name = f"{dtype}*alone"
+
+
+register_model(LonePointer)(models.PointerModel)
+
 FLOATS = Vector(32, WIDTH)
 DOUBLES = Vector(64, WIDTH // 2)
 INDICES = IndexVector(WIDTH)
@@ -79,6 +89,8 @@ INDICES = IndexVector(WIDTH)
 
 def vector_of(array: types.Array | types.CPointer) -> Vector:
     """The vector type that belongs to an array's or pointer's elements."""
+    if isinstance(array, LonePointer):
+        return Vector(64 if array.dtype == types.float64 else 32, 1)
     return DOUBLES if array.dtype == types.float64 else FLOATS
 
 
@@ -145,6 +157,19 @@ def pointer(typing, array):
         return context.make_array(sig.args[0])(context, builder, args[0]).data
 
     return types.CPointer(array.dtype)(array), generate
+
+
+@intrinsic
+def pointer_alone(typing, array):
+    """The same address with vectors of one lane: what all functions of this module do with it, they do to one number.
+
+    For a kernel that is written for many at once and has only one: the processor's widest instructions take longer.
+    """
+
+    def generate(context, builder, sig, args):
+        return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+    return LonePointer(array.dtype)(array), generate
 
 
 def _pointer_from(dtype, doc):
