@@ -18,11 +18,13 @@ def test_the_public_names() -> None:
         "unmatched", "value_for_result", "world", "world_rotations_positions",
     ]  # fmt: skip
     assert sorted(deform.__all__) == [
-        "PackReport", "SurfaceError", "deform_character", "deform_part", "morph", "morph_absolute",
-        "morphs_from_shapes", "nearest_kept", "pack", "rebind", "simplify", "skin", "skin_matrices", "skin_points",
-        "surface_error", "transform_normals",
+        "AutomaticWeights", "PackReport", "SurfaceError", "WeightsReport", "automatic_weights", "deform_character",
+        "deform_part", "limit_influences", "mirror_weights", "morph", "morph_absolute", "morphs_from_shapes",
+        "nearest_kept", "pack", "rebind", "simplify", "skin", "skin_character", "skin_matrices", "skin_points",
+        "smooth_weights", "surface_error", "transfer_weights", "transform_normals",
     ]  # fmt: skip
     assert sorted(analysis.__all__) == [
+        "BodyMasses",
         "Examination",
         "Finding",
         "Footing",
@@ -41,6 +43,7 @@ def test_the_public_names() -> None:
         "find_roles",
         "foot_contacts",
         "human_limits",
+        "human_masses",
         "measure_quality",
         "roles_from_json",
         "roundtrip_error",
