@@ -26,8 +26,9 @@ from keypose.ik import (
     limit_violation,
 )
 from keypose.ik import fullbody_dense as dense
-from keypose.ik.fullbody_limits import FREE, HELD, bounds_met
+from keypose.ik.fullbody_limits import FREE, HELD, bounds_met, edge_of_cone
 from keypose.ik.fullbody_problem import Problem, make_problem
+from keypose.ik.limits import swing_axes
 from keypose.math import quat
 from keypose.model import Pose
 from tests.synthetic import random_pose, random_rotations, random_skeleton
@@ -140,3 +141,38 @@ def test_bounds_are_known_with_their_directions(name: str) -> None:
         if 0 < len(met) < 3:
             slow.append(broken(n, np.linalg.svd(met)[2][-1]))
     assert not slow or np.quantile(slow, 0.95) < 1e-2
+
+
+def test_edges_of_cones_are_as_curved_as_they_are() -> None:
+    """What leaves a cone along its edge, and along with the turn about the axis, by differences of what is bounded."""
+    rng, limit, small = np.random.default_rng(6), LIMITS["cone elsewhere"], 1e-4
+    assert isinstance(limit, Cone)
+    home, center = random_rotations(rng, 300), np.asarray(limit.center)
+    rotations = quat.multiply(home, quat.from_rotation_vector(1.5 * rng.normal(size=(300, 3))))
+    rotations = clamp_rotation(limit, rotations, home)
+    directions, sides = bounds_met(limit, rotations, home)
+    at = sides[:, 1] != FREE
+    assert at.sum() > 50
+    home, rotations, normal = home[at], rotations[at], directions[at, 1]
+    axis = np.asarray(limit.axis) / np.linalg.norm(limit.axis)
+    axis = quat.rotate(rotations, np.broadcast_to(axis, normal.shape))
+    edge = np.cross(axis, normal)
+    first, second = swing_axes(limit)
+
+    def reach(way: np.ndarray) -> np.ndarray:
+        turn = quat.multiply(quat.normalize(np.concatenate([np.ones((len(way), 1)), 0.5 * way], 1)), rotations)
+        turn = quat.multiply(quat.conjugate(quat.multiply(home, np.broadcast_to(center, home.shape))), turn)
+        own = np.asarray(limit.axis) / np.linalg.norm(limit.axis)
+        pointed = quat.rotate(turn, np.broadcast_to(own, way.shape))
+        x, y, z = pointed @ first, pointed @ second, pointed @ own
+        angle, sine = np.arctan2(np.hypot(x, y), z), np.hypot(x, y)
+        return angle * np.hypot(y / sine / limit.swings[0], x / sine / limit.swings[1])
+
+    def bent(way: np.ndarray) -> np.ndarray:
+        return (reach(small * way) + reach(-small * way) - 2.0 * reach(0.0 * way)) / small**2
+
+    slope = (reach(small * normal) - reach(-small * normal)) / (2.0 * small)
+    turn = quat.multiply(quat.conjugate(quat.multiply(home, np.broadcast_to(center, home.shape))), rotations)
+    np.testing.assert_allclose(bent(edge) / slope, edge_of_cone(limit, turn), atol=1e-5)
+    np.testing.assert_allclose((bent(edge + axis) - bent(edge - axis)) / (4.0 * slope), -0.5, atol=1e-5)
+    np.testing.assert_allclose(bent(axis) / slope, 0.0, atol=1e-5)

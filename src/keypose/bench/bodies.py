@@ -49,14 +49,15 @@ def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, ma
     asked = SolveOptions(iterations=100, tolerance_m=_ASKED_M)
 
     def missed(result: Any, places: Any) -> float:
-        reached = plain.kinematics(parents, result.pose.rotations, result.pose.translations)[1]
-        return float(np.linalg.norm((reached - places)[..., effectors, :], axis=-1).max())
+        turns, bones = (np.reshape(a, (-1, *a.shape[-2:])) for a in (result.pose.rotations, result.pose.translations))
+        reached = plain.kinematics(parents, turns, bones)[1]
+        return float(np.linalg.norm((reached - places)[:, effectors], axis=-1).max())
 
     one, every = [goal[0, e].copy() for e in effectors], [many[:, e].copy() for e in effectors]
     beside = min(_BESIDE, len(many))
     full, near, said = _beside(parents, offsets, effectors, many[:beside])
     for words, options, peer, note, limit in (
-        (f"{_STEPS} steps", whole, full, said[0], 1e-8), (f"to {_ASKED}", asked, near, said[1], 1.001 * _ASKED_M),
+        (f"at most {_STEPS} steps", whole, full, said[0], 1e-8), (f"to {_ASKED}", asked, near, said[1], 1.001 * _ASKED_M),
     ):  # fmt: skip
         solver = prepare_solver(skeleton, at_rest, options=options)
         for targets, places, together in ((every, many, f"{len(many)} at once"), (one, goal[0], "one alone")):
