@@ -32,6 +32,8 @@ _PRIOR_M, _PRIOR_ROOT = 0.03, 0.3
 _BODY_ROUNDS = 4
 # The share of a limb's length over which it slows down on its way, where no constraint says where it is.
 _SOFT = 0.02
+# ... and how far it must be displaced for that.
+_SOFT_FROM_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,6 +349,9 @@ def _along_paths(goals: Sequence[_Goal], motion: Motion, skeleton: Skeleton, eas
         if not len(rows):
             continue
         full = motion.pose.broadcast()
+        # where it is hardly moved it is hardly slowed down, so that a straight limb keeps what the motion gives it
+        moved = np.clip(np.linalg.norm(path[rows], axis=-1) / _SOFT_FROM_M, 0.0, 1.0)
+        moved *= moved * (3.0 - 2.0 * moved)
         solved = bend_limb(
             skeleton,
             Pose(full.translations[rows], full.rotations[rows], full.scales[rows]),
@@ -355,7 +360,7 @@ def _along_paths(goals: Sequence[_Goal], motion: Motion, skeleton: Skeleton, eas
             bend=bend_direction(motion, skeleton, limb),
             carried=joint,
             follow=not own[0].keep_rotation and joint == limb.end,
-            softness=softness + _SOFT * (1.0 - np.clip(sure[rows], 0.0, 1.0)),
+            softness=softness + _SOFT * moved * (1.0 - np.clip(sure[rows], 0.0, 1.0)),
         )
         rotations = np.array(full.rotations)
         for n, part in enumerate((limb.upper, limb.lower, limb.end)):
