@@ -57,7 +57,8 @@ class Control:
     Units:
         size_m: half the width of its shape; offset_m: the shape's centre in the control's own axes.
         spaces: what may carry it, the first by default; none for its parent in the hierarchy of controls. Of several, the
-            attribute ``NAME.space`` gives the number.
+            attribute ``NAME.space`` gives the number. Where a rig has attributes ``NAME.space.LABEL``, they are weights (0..1)
+            with which several carry it at once; the space of that number takes what they leave of 1.
         moves: what a person sets; the rest stays at rest.
     """
 
@@ -81,6 +82,10 @@ class Control:
     def space_attribute(self) -> str:
         """The name of the attribute that says which space carries it."""
         return f"{self.name}.space"
+
+    def weight_attribute(self, space: str) -> str:
+        """The name of the attribute that says how much one of its spaces carries it, if the rig has it."""
+        return f"{self.space_attribute}.{space}"
 
 
 @dataclass(frozen=True, slots=True)

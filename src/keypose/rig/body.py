@@ -210,7 +210,9 @@ class Sheet:
         self.looks.append(replace(look, name=free))
         if len(look.spaces) > 1:
             labels = tuple(space.name for space in look.spaces)
-            self.attributes.append(Attribute(f"{free}.space", free, 0.0, 0.0, len(labels) - 1.0, labels))
+            look = self.looks[-1]
+            self.attributes.append(Attribute(look.space_attribute, free, 0.0, 0.0, len(labels) - 1.0, labels))
+            self.attributes.extend(Attribute(look.weight_attribute(label), free) for label in labels)
         return free
 
     def named(self, name: str) -> str:

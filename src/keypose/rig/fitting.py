@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -10,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from keypose.arrays import Array, Floats, finite
-from keypose.errors import ShapeError
+from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import match, world_rotations_positions
 from keypose.math import quat
 from keypose.model import (
     Channel,
     Clip,
+    Control,
     Curve,
     CurveKind,
     EyesModule,
@@ -114,7 +116,7 @@ def fit_controls(
     clip = Clip(
         {
             **_pose_curves(controls, rig.controls, motion.times_s),
-            **_value_curves(found, motion.times_s),
+            **_value_curves(rig, found, motion.times_s),
             **_pose_curves(passive, skeleton, motion.times_s),
             **_morph_curves(motion),
         },
@@ -182,32 +184,38 @@ def switch_space(
     rig: Rig,
     skeleton: Skeleton,
     control: str,
-    space: str,
+    space: str | Mapping[str, float],
     control_pose: Pose,
     values: Mapping[str, Any] | None = None,
     base_pose: Pose | None = None,
 ) -> tuple[Pose, dict[str, Array]]:
-    """A control carried by another of its spaces, at the place where it is; returns the controls and all values.
+    """A control carried by another of its spaces, or by several, at the place where it is; returns the controls and all values.
+
+    ``space`` is the label of one, or weights of 0 and more by label, of which the shares count.
 
     Raises:
-        UnknownName: where there is no such control or space.
-        ShapeError: where shapes do not fit.
+        UnknownName: where there is no such control or space, or the rig has no weights for its spaces.
+        ShapeError: where shapes do not fit, or no weight is above 0.
     """
     look = rig.control(control)
     labels = [s.name for s in look.spaces]
-    if space not in labels:
-        from keypose.errors import UnknownName
-
-        raise UnknownName(f"space of '{control}'", space, labels)
+    shares = _shares(rig, look, {space: 1.0} if isinstance(space, str) else space)
     state, batch = begin(rig, skeleton, control_pose, values, base_pose)
     run(state)
     index = rig.controls.index(control)
     world = state.control(index)
+    changed: set[str] = set()
     if len(labels) > 1:
-        state.values[look.space_attribute] = np.full(1, float(labels.index(space)))
+        chosen = max(shares, key=lambda label: shares[label])
+        state.values[look.space_attribute] = np.full(1, float(labels.index(chosen)))
+        for label in labels:
+            name = look.weight_attribute(label)
+            if name in state.values:
+                state.values[name] = np.full(1, shares.get(label, 0.0) if len(shares) > 1 else 0.0)
+        changed = {look.space_attribute, *map(look.weight_attribute, labels)}
     own, _ = begin(rig, skeleton, control_pose, values, base_pose)
     own.local[index] = inverse(state.frame(index)) @ world
-    return _control_pose(own, rig.controls, batch), _values(rig, state, batch, given=own, changed=look.space_attribute)
+    return _control_pose(own, rig.controls, batch), _values(rig, state, batch, given=own, changed=changed)
 
 
 def _matched(
@@ -246,6 +254,25 @@ def _matched(
         # a rolled foot carries its toes in another way than the foot of FK
         fit_owned(own, module)
     return _control_pose(own, rig.controls, batch), _values(rig, own, batch)
+
+
+def _shares(rig: Rig, look: Control, weights: Mapping[str, float]) -> dict[str, float]:
+    """Shares above 0, sum 1, of spaces that the control has."""
+    labels = [s.name for s in look.spaces]
+    known = {a.name for a in rig.attributes}
+    for label, weight in weights.items():
+        if label not in labels:
+            raise UnknownName(f"space of '{look.name}'", label, labels)
+        if not (math.isfinite(weight) and weight >= 0):
+            raise ShapeError(f"space '{label}' of '{look.name}': expected a weight of 0 or more, got {weight}")
+    whole = sum(weights.values())
+    if whole <= 0:
+        raise ShapeError(f"spaces of '{look.name}': expected a weight above 0")
+    shares = {label: weight / whole for label, weight in weights.items() if weight > 0}
+    for label in shares if len(shares) > 1 else ():
+        if look.weight_attribute(label) not in known:
+            raise UnknownName("attribute", look.weight_attribute(label), known)
+    return shares
 
 
 # ---- fitting -----------------------------------------------------------------------------------------------------------
@@ -334,9 +361,13 @@ def _pose_curves(pose: Pose, skeleton: Skeleton, times: Floats) -> dict[Channel,
     return curves
 
 
-def _value_curves(values: Mapping[str, Array], times: Floats) -> dict[Channel, Curve]:
+def _value_curves(rig: Rig, values: Mapping[str, Array], times: Floats) -> dict[Channel, Curve]:
     curves: dict[Channel, Curve] = {}
+    # one for each space of each control: they get keys where they say something
+    mixing = {look.weight_attribute(space.name) for look in rig.looks for space in look.spaces}
     for name, value in values.items():
+        if name in mixing and not np.any(value):
+            continue
         moving = np.abs(value - value[:1]).max(initial=0.0) > _NOTHING
         keys = slice(None) if moving else slice(0, 1)
         mode = Interpolation.STEP if name.endswith(".space") else Interpolation.LINEAR
@@ -369,13 +400,13 @@ def _control_pose(state: State, controls: Skeleton, batch: tuple[int, ...]) -> P
 
 
 def _values(
-    rig: Rig, state: State, batch: tuple[int, ...], given: State | None = None, changed: str = ""
+    rig: Rig, state: State, batch: tuple[int, ...], given: State | None = None, changed: Set[str] = frozenset()
 ) -> dict[str, Array]:
     """Attributes as they were given (drivers run again on them), but for the one that was changed."""
     source = state if given is None else given
     found: dict[str, Array] = {}
     for attribute in rig.attributes:
-        value = (state if attribute.name == changed else source).values[attribute.name]
+        value = (state if attribute.name in changed else source).values[attribute.name]
         found[attribute.name] = np.broadcast_to(value, (state.count,)).reshape(batch)
     return found
 

@@ -17,6 +17,7 @@ from keypose.arrays import Floats
 from keypose.errors import KeyposeError, ShapeError, UnknownName
 from keypose.model import (
     Constraint,
+    Control,
     Driver,
     EyesModule,
     FingersModule,
@@ -73,7 +74,8 @@ class Plan:
     """A rig on a skeleton.
 
     Shapes: ``rest`` (J, 4, 4) and ``control_rest`` (N, 4, 4): model-from at rest, with their inverses; ``parent_rest`` (N, 4, 4)
-    of what controls hang on in the hierarchy, ``local_rest`` (N, 4, 4) of the controls in that.
+    of what controls hang on in the hierarchy, ``local_rest`` (N, 4, 4) of the controls in that. ``space_weights`` names the
+    attribute of each space of each control, empty where there is none.
     """
 
     rig: Rig
@@ -86,6 +88,7 @@ class Plan:
     parent_rest: Floats
     local_rest: Floats
     carriers: tuple[tuple[Carrier, ...], ...]
+    space_weights: tuple[tuple[str, ...], ...]
     order: tuple[tuple[str, int], ...]
     owned: frozenset[int]
     moved: tuple[int, ...]
@@ -209,6 +212,7 @@ class _Planner:
             parent_rest,
             frames_of(self.rig.controls.rest, 1)[:, 0],
             tuple(carriers),
+            tuple(self.space_weights(look) for look in self.rig.looks),
             order,
             frozenset(self.owner),
             tuple(sorted(self.mover)),
@@ -221,6 +225,11 @@ class _Planner:
         )
 
     # ---- names
+
+    def space_weights(self, look: Control) -> tuple[str, ...]:
+        """The attribute of each space's weight; an empty name where the rig has none."""
+        names = (look.weight_attribute(space.name) for space in look.spaces)
+        return tuple(name if name in self.values else "" for name in names)
 
     def joint(self, name: str, kind: str = "joint", known: Iterable[str] | None = None) -> int:
         if name not in self.joints:

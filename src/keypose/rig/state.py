@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from keypose.arrays import Floats
+from keypose.arrays import Floats, Ints
 from keypose.model import Attribute
 from keypose.rig.frames import EYE, mixed
 from keypose.rig.plan import Carrier, Plan
@@ -71,17 +71,37 @@ class State:
         return held @ carrier.offset
 
     def frame(self, control: int) -> Floats:
-        """Model-from-frame: what a control's own transform is relative to, in the space that it has."""
+        """Model-from-frame: what a control's own transform is relative to, in the space or the mixture that it has."""
         carriers = self.plan.carriers[control]
         if len(carriers) == 1:
             return self.place(carriers[0])
         chosen = self.value(self.plan.rig.looks[control].space_attribute)
         index = np.clip(np.rint(chosen), 0, len(carriers) - 1).astype(np.intp)
+        if not self.is_zero(*(name for name in self.plan.space_weights[control] if name)):
+            return self._mixture(control, carriers, index)
         used = np.unique(index) if index.size else np.zeros(1, np.intp)
         frame = self.place(carriers[used[0]])
         for n in used[1:]:
             frame = np.where((index == n)[:, None, None], self.place(carriers[n]), frame)
         return frame
+
+    def _mixture(self, control: int, carriers: tuple[Carrier, ...], chosen: Ints) -> Floats:
+        """The frame between several carriers: the control's place at rest goes between where each would carry it, and turns."""
+        zero = np.zeros(1)
+        given = [self.values[name] if name else zero for name in self.plan.space_weights[control]]
+        weights = [np.clip(w, 0.0, 1.0) for w in given]
+        left = np.maximum(1.0 - sum(weights, zero), 0.0)
+        weights = [w + np.where(chosen == n, left, 0.0) for n, w in enumerate(weights)]
+        there = np.eye(4)
+        there[:3, 3] = self.plan.local_rest[control][:3, 3]
+        frame, carried = EYE[None], zero
+        for carrier, weight in zip(carriers, weights, strict=True):
+            carried = carried + weight
+            if np.any(weight):
+                share = weight / np.where(carried == 0, 1.0, carried)
+                frame = mixed(frame, self.place(carrier) @ there, share)
+        there[:3, 3] *= -1.0
+        return frame @ there
 
     def put(self, control: int, frame: Floats) -> Floats:
         """Place a control in its frame; returns model-from-control."""
