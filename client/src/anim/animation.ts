@@ -4,7 +4,7 @@ import type { ClipData, CurveData, MotionData } from "../generated/messages";
 import type { Arrays } from "../net/container";
 import { Curve, type CurveArrays } from "./curve";
 import { EULER_ORDER, eulerFromQuat, quatFromEuler } from "./euler";
-import { matchNames } from "./matching";
+import { matchRig } from "./matching";
 import type { Pose, Rig } from "./rig";
 import { slerp } from "./rotation";
 
@@ -57,7 +57,7 @@ export abstract class Animation {
     const total = this.joints.size + this.morphNames.size;
     if (total === 0) return 0;
     const shapes = morphNames.filter((name) => this.morphNames.has(name)).length;
-    return (matchNames(this.joints, rig.names).size + shapes) / total;
+    return (matchRig(this.joints, rig).size + shapes) / total;
   }
 }
 
@@ -134,7 +134,7 @@ export class ClipAnimation extends Animation {
     const tracks: Track[] = [];
     const morphs = new Set<number>();
     const eulers = new Map<number, { order: string; whole: Curve | null; parts: (Curve | null)[] }>();
-    const own = new Map([...matchNames(this.joints, rig.names)].map(([name, source]) => [source, rig.index(name)]));
+    const own = new Map([...matchRig(this.joints, rig)].map(([name, source]) => [source, rig.index(name)]));
     for (const { target, property, component, curve: shared } of this.curves) {
       const [field, width] = FIELDS[property];
       const index = field === "morphs" ? morphNames.indexOf(target) : (own.get(target) ?? -1);
@@ -163,7 +163,7 @@ export class ClipAnimation extends Animation {
   }
 
   keyTimes(rig: Rig, joint: number | null): Float64Array {
-    const target = joint === null ? null : (matchNames(this.joints, rig.names).get(rig.names[joint]) ?? "");
+    const target = joint === null ? null : (matchRig(this.joints, rig).get(rig.names[joint]) ?? "");
     let times = this.keyCache.get(target);
     if (!times) {
       const all = new Set<number>();
@@ -209,7 +209,7 @@ export class MotionAnimation extends Animation {
     const { translations, rotations, scales } = this.arrays;
     const joints = data.joint_names.length;
     const row = new Map(data.joint_names.map((name, n) => [name, n]));
-    const joint = Int32Array.from([...matchNames(data.joint_names, rig.names)].flatMap(([name, source]) => [row.get(source)!, rig.index(name)]));
+    const joint = Int32Array.from([...matchRig(data.joint_names, rig)].flatMap(([name, source]) => [row.get(source)!, rig.index(name)]));
     const morph = Int32Array.from(
       (weights ? data.morph_names : []).flatMap((name, n) => (morphNames.includes(name) ? [n, morphNames.indexOf(name)] : [])),
     );

@@ -17,6 +17,15 @@ export function matchNames(theirs: Iterable<string>, own: string[]): Map<string,
   return sources;
 }
 
+/** The same for a character with a rig: joints by similar names, controls by their own names alone (`keypose.rig.baking.bound`). */
+export function matchRig(theirs: Iterable<string>, rig: Rig): Map<string, string> {
+  const joints = rig.names.slice(0, rig.jointCount), controls = new Set(rig.names.slice(rig.jointCount));
+  const animated = [...new Set(theirs)], sources = new Map<string, string>();
+  for (const name of animated) if (controls.has(name)) sources.set(name, name);
+  for (const [own, source] of matchNames(animated.filter((n) => !controls.has(n)), joints)) sources.set(own, source);
+  return sources;
+}
+
 const bare = (name: string) => name.replaceAll("|", ":").split(":").at(-1)!.toLowerCase();
 
 /** Folded name -> name, for those that fold to something of their own. */

@@ -5,7 +5,7 @@ import type { EditClip, EditCurve, EditDocument, EditLayer, EditPlacement, EditT
 import type { Binding } from "./animation";
 import { Curve } from "./curve";
 import { EULER_ORDER, eulerFromQuat, quatFromEuler } from "./euler";
-import { matchNames } from "./matching";
+import { matchRig } from "./matching";
 import { Pose, type Rig } from "./rig";
 import { conjugateMultiply, multiply, normalize, powerShort, slerp } from "./rotation";
 
@@ -190,7 +190,7 @@ function jointsOf(curves: readonly EditCurve[], rig: Rig): Map<string, number> {
   let exact = true;
   for (const name of names) if (rig.index(name) < 0) exact = false;
   if (exact) return new Map([...names].map((name) => [name, rig.index(name)]));
-  return new Map([...matchNames(names, rig.names)].map(([own, source]) => [source, rig.index(own)]));
+  return new Map([...matchRig(names, rig)].map(([own, source]) => [source, rig.index(own)]));
 }
 
 const boundClips = new WeakMap<EditClip, WeakMap<Rig, BoundClip>>();

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,12 +19,14 @@ from keypose.model import (
     Layer,
     Motion,
     Placement,
+    Property,
     Rig,
     Timeline,
 )
 from keypose.rig.plan import check_rig
 
 LARGEST_SETTINGS = 1 << 20
+_JOINT = "joint:"
 
 
 def add_character(document: Document, character: Character) -> Document:
@@ -48,10 +50,34 @@ def add_character(document: Document, character: Character) -> Document:
 
 
 def import_animation(document: Document, animation: Clip | Motion) -> Document:
-    """The document with a copy of an animation as a clip; a motion becomes one key per frame (`evaluate.to_clip`)."""
+    """The document with a copy of an animation as a clip; a motion becomes one key per frame (`evaluate.to_clip`).
+
+    Joints of another body that are called like a control here are written as ``joint:NAME``, which moves no control.
+    """
     clip = to_clip(animation, reduce_constant=True) if isinstance(animation, Motion) else animation
     name = unique_name(clip.name or "Clip", document.clips)
+    controls = {control for rig in document.rigs.values() for control in rig.controls.names}
+    alike = foreign_joints(document, clip, controls) & controls
+    if alike:
+        curves = {
+            replace(c, target=f"{_JOINT}{c.target}") if moves_a_joint(c) and c.target in alike else c: curve
+            for c, curve in clip.curves.items()
+        }
+        orders = {f"{_JOINT}{n}" if n in alike else n: order for n, order in clip.euler_orders.items()}
+        clip = replace(clip, curves=curves, euler_orders=orders)
     return replace(document, clips={**document.clips, name: replace(clip, name=name)})
+
+
+def foreign_joints(document: Document, clip: Clip, controls: Collection[str]) -> frozenset[str]:
+    """The joints of a clip that no character here has; none where all of those are controls, as in clips keyed on a rig."""
+    own = {name for character in document.characters.values() for name in character.skeleton.names}
+    strange = {channel.target for channel in clip.curves if moves_a_joint(channel)} - own
+    return frozenset() if strange <= set(controls) else frozenset(strange)
+
+
+def moves_a_joint(channel: Channel) -> bool:
+    """Whether a channel is one of a joint or control, not of a morph or a value."""
+    return channel.property not in (Property.WEIGHT, Property.VALUE)
 
 
 def check_name(name: str, kind: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,18 +41,20 @@ def auto_rig(
     *,
     name: str = "",
     character: Character | None = None,
+    taken: Collection[str] = (),
 ) -> Rig:
     """The rig of a humanoid: root, pelvis, spine, head, eyes, jaw, shoulders, arms, hands, fingers, legs and feet.
 
     What a skeleton does not have gets no controls. ``roles`` are found where none are given (`analysis.find_roles`); the
-    surface of ``character`` tells where soles end, and its name is that of the rig's character. Controls at rest give the rest pose.
+    surface of ``character`` tells where soles end, and its name is that of the rig's character. ``taken`` are names that controls
+    leave free, such as joints of clips beside it. Controls at rest give the rest pose.
 
     Raises:
         KeyposeError: where hips, spine, head, or a limb's joints cannot be told.
     """
     known = dict(_roles(skeleton, roles, character))
     body = read_body(skeleton, known, character)
-    sheet = Sheet(skeleton)
+    sheet = Sheet(skeleton, frozenset(taken))
     modules: list[Module] = []
     _trunk(sheet, body, modules)
     _head(sheet, body, modules)

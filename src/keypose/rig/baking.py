@@ -12,7 +12,7 @@ import numpy as np
 
 from keypose.arrays import Array
 from keypose.errors import ShapeError
-from keypose.evaluate import bake_timeline, performing, sample_timeline, sample_timeline_values
+from keypose.evaluate import bake_timeline, match, performing, sample_timeline, sample_timeline_values
 from keypose.model import (
     Character,
     Clip,
@@ -73,7 +73,9 @@ def sample_rig(
         ShapeError: where a time is not finite, or the rig does not fit the skeleton.
         UnknownName: where a placement names no animation.
     """
-    whole = sample_timeline(timeline, animations, rigged_skeleton(rig, skeleton), times_s)
+    used = {p.animation for layer in timeline.layers for p in layer.placements}
+    own = {name: bound(animations[name], rig, skeleton) for name in used if name in animations}
+    whole = sample_timeline(timeline, own, rigged_skeleton(rig, skeleton), times_s)
     count = skeleton.joint_count
     parts = [(a[..., :count, :], a[..., count:, :]) for a in (whole.translations, whole.rotations, whole.scales)]
     base, controls = Pose(*(p[0] for p in parts)), Pose(*(p[1] for p in parts))
@@ -82,6 +84,25 @@ def sample_rig(
     sampled = sample_timeline_values(timeline, animations, names, times_s, defaults)
     values = {name: sampled[..., n] for n, name in enumerate(names)}
     return solve_rig(rig, skeleton, controls, values, base)
+
+
+@lru_cache(maxsize=16)
+def bound(animation: Clip | Motion, rig: Rig, skeleton: Skeleton) -> Clip | Motion:
+    """An animation by the names of a skeleton's joints and of a rig's controls.
+
+    Joints go by similar names as in `evaluate.match`. Controls go by their own names alone, and by channels of clips alone: a
+    motion, or a file's ``mixamorig:Head``, says nothing of a control ``head``.
+    """
+    if isinstance(animation, Motion):
+        return match(animation, skeleton)
+    controls, joints = set(rig.controls.names), set(skeleton.names)
+    moving = {c.target for c in animation.curves if c.property not in (Property.WEIGHT, Property.VALUE)}
+    if moving <= controls | joints:
+        return animation
+    own = {c: v for c, v in animation.curves.items() if c.target in controls}
+    others = match(replace(animation, curves={c: v for c, v in animation.curves.items() if c not in own}), skeleton)
+    orders = {name: order for name, order in animation.euler_orders.items() if name in controls}
+    return replace(others, curves={**others.curves, **own}, euler_orders={**others.euler_orders, **orders})
 
 
 def bake_rig_timeline(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -185,9 +185,10 @@ def bone_axes(bone: Floats, towards: Floats, instead: Floats) -> Floats:
 
 @dataclass(slots=True)
 class Sheet:
-    """Controls while they are collected: names that no joint has, places in model space."""
+    """Controls while they are collected: names that no joint has and that are not ``taken``, places in model space."""
 
     skeleton: Skeleton
+    taken: Collection[str] = ()
     looks: list[Control] = field(default_factory=list[Control])
     attributes: list[Attribute] = field(default_factory=list[Attribute])
     _parents: list[int] = field(default_factory=list[int])
@@ -200,7 +201,7 @@ class Sheet:
         # animations are matched by name without regard to case and name space; controls must not be taken for joints
         joints = {n.replace("|", ":").rsplit(":", 1)[-1].casefold() for n in self.skeleton.names}
         free = name
-        while free.casefold() in joints:
+        while free.casefold() in joints or free in self.taken:
             stem, dot, end = free.partition(".")
             free = f"{stem}_control{dot}{end}"
         self._names[name] = free

@@ -35,6 +35,7 @@ from keypose.model import (
     module_joints,
 )
 from keypose.project.commands import Command, RemoveRig, SetClip, SetRig, SetTimeline, import_clip
+from keypose.project.document import foreign_joints
 from keypose.rig import (
     auto_rig,
     bake_rig_timeline,
@@ -264,7 +265,7 @@ def _commands(document: Document, asked: r.RigAsked, said: list[str]) -> list[Co
             who = document.character(name)
             if document.rig_of(name) is not None:
                 raise KeyposeError(f"'{name}' has a rig already")
-            rig = replace(auto_rig(who.skeleton, who.roles or None, character=who), name=name, character=name)
+            rig = replace(_automatic(document, who), name=name, character=name)
             said.append(f"{rig.controls.joint_count} controls")
             wanted: list[Command] = [SetRig(rig)]
             line = _timeline(document, name)
@@ -284,6 +285,16 @@ def _commands(document: Document, asked: r.RigAsked, said: list[str]) -> list[Co
             line = _timeline(document, rig.character)
             keyed = line is not None and is_keyed(rig, line, document.clips)
             return [*(_baked(document, rig, said) if bake and keyed else ()), RemoveRig(name)]
+
+
+def _automatic(document: Document, who: Character) -> Rig:
+    """An automatic rig whose controls are not called like joints of other bodies here, whose clips would move them."""
+    others = {name for one in document.characters.values() for name in one.skeleton.names}
+    rig = auto_rig(who.skeleton, who.roles or None, character=who, taken=others)
+    strange = {n for clip in document.clips.values() for n in foreign_joints(document, clip, rig.controls.names)}
+    if strange.isdisjoint(rig.controls.names):
+        return rig
+    return auto_rig(who.skeleton, who.roles or None, character=who, taken=others | strange)
 
 
 def _timeline(document: Document, character: str) -> Timeline | None:
