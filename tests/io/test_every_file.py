@@ -80,6 +80,7 @@ CHECKS: tuple[tuple[str, str, Check], ...] = (
     (r"\.usd[az]?$", r"\((\d+) joints\)", lambda s, m: _joints(s) >= int(m[1])),
     (r"\.usd[az]?$", r"(\d+) meshes \((\d+) points\)", lambda s, m: _fits(s, int(m[2]))),
     (r"\.usd[az]?$", r"(\d+) blend shapes", lambda s, m: len(s.character.morph_names) >= int(m[1])),
+    (r"\.mot$", r"nRows=(\d+)", lambda s, m: frames_of(s) == int(m[1])),
     (r"\.fbx$", r"LimbNode ([1-9]\d*)", lambda s, m: _joints(s) > 1),
 )
 

@@ -124,6 +124,14 @@ def _no_mark(head: bytes) -> bool:
     return False
 
 
+def _is_osim(head: bytes) -> bool:
+    return b"<OpenSimDocument" in head
+
+
+def _is_opensim_table(head: bytes) -> bool:
+    return re.search(rb"(?im)^endheader\s*$", head) is not None and re.search(rb"(?im)^time\b", head) is not None
+
+
 def _is_livelink(head: bytes) -> bool:
     return head.removeprefix(b"\xef\xbb\xbf")[:25].lower().replace(b" ", b"") == b"timecode,blendshapecount,"
 
@@ -172,6 +180,8 @@ register(Format("makehuman", (".mhskel",), _is_makehuman, "keypose.io.makehuman:
 register(Format("c3d", (".c3d",), _is_c3d, "keypose.io.c3d:read", "keypose.io.c3d:write"))
 register(Format("trc", (".trc",), _is_trc, "keypose.io.trc:read", "keypose.io.trc:write"))
 register(Format("csm", (".csm",), _is_csm, "keypose.io.csm:read", "keypose.io.csm:write"))
+register(Format("osim", (".osim",), _is_osim, "keypose.io.opensim:read_model"))
+register(Format("opensim", (".mot", ".sto"), _is_opensim_table, "keypose.io.opensim:read_table"))
 register(Format("obj", (".obj",), _is_obj, "keypose.io.obj:read", "keypose.io.obj:write"))
 register(Format("livelink", (".csv",), _is_livelink, "keypose.io.livelink:read", "keypose.io.livelink:write"))
 register(Format("textgrid", (".textgrid",), _is_textgrid, "keypose.io.textgrid:read", "keypose.io.textgrid:write"))
