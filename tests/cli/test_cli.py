@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -14,31 +13,12 @@ import pytest
 
 from keypose.bench import SUITES
 from keypose.cli.app import app
+from tests.cli.command import keypose, process, refused
 
 VERBS = (
     "demo", "studio", "play", "info", "check", "convert", "edit", "clean", "retarget", "rig", "roles", "skin", "render",
     "graph", "bench",
 )  # fmt: skip
-
-
-def keypose(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the command as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "keypose", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=120,
-        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
-    )
-
-
-def refused(result: subprocess.CompletedProcess[str]) -> str:
-    """The one line of an error; no traceback, exit code 1."""
-    assert result.returncode == 1, result.stderr + result.stdout
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1 and lines[0].startswith("error: "), result.stderr
-    return lines[0]
 
 
 def test_help_lists_every_verb_and_every_verb_has_examples() -> None:
@@ -58,7 +38,7 @@ def test_help_comes_at_once() -> None:
     times = []
     for _ in range(5):
         begin = time.perf_counter()
-        keypose("--help")
+        process("--help")
         times.append(time.perf_counter() - begin)
     assert statistics.median(times) < 1.5
 
@@ -66,14 +46,14 @@ def test_help_comes_at_once() -> None:
 def test_version() -> None:
     import keypose as package
 
-    assert keypose("--version").stdout.strip() == f"keypose {package.__version__}"
+    assert process("--version").stdout.strip() == f"keypose {package.__version__}"
 
 
 @pytest.mark.parametrize(
     "arguments", [["nonsense"], ["convert", "one.bvh"], ["render", "a.glb", "b.png", "--size", "big"], ["info"]]
 )
 def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
-    result = keypose(*arguments)
+    result = process(*arguments)
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
 
@@ -100,12 +80,12 @@ def test_info_of_a_sample_as_json() -> None:
 def test_info_of_real_files(data_dir: Path, name: str, joints: int, frames: int, rate: float) -> None:
     facts = json.loads(keypose("info", data_dir / name, "--json").stdout)
     assert (facts["joints"], facts["frames"], facts["rate_hz"]) == (joints, frames, rate)
-    shown = keypose("info", data_dir / name)
+    shown = process("info", data_dir / name)
     assert f"{joints} joints" in shown.stdout
 
 
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    assert "no such file" in refused(keypose("info", tmp_path / "absent.bvh"))
+    assert "no such file" in refused(process("info", tmp_path / "absent.bvh"))
     assert "nearest: 'walk'" in refused(keypose("info", "sample:wlak"))
     broken = tmp_path / "broken.bvh"
     broken.write_text("HIERARCHY\nROOT Hips\n{\n  OFFSET 0 0\n")
@@ -120,7 +100,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
 
 def test_convert_there_and_back_prints_its_proof(tmp_path: Path) -> None:
     glb, bvh = tmp_path / "walk.glb", tmp_path / "walk.bvh"
-    first = keypose("convert", "sample:walk", glb)
+    first = process("convert", "sample:walk", glb)
     assert first.returncode == 0 and "read back: 61 joints x 125 frames" in first.stdout
     second = keypose("convert", glb, bvh)
     assert second.returncode == 0 and "read back: 61 joints x 125 frames" in second.stdout
@@ -153,7 +133,7 @@ def test_convert_puts_a_motion_on_a_character(tmp_path: Path, data_dir: Path) ->
 def test_a_graph_is_run_and_baked(tmp_path: Path) -> None:
     keys = tmp_path / "keys.json"
     keys.write_text('[{"at_s": 0.2, "set": {"speed": 1.2}}, {"at_s": 1.0, "set": {"jump": true}}]')
-    result = keypose("graph", "sample:locomotion", tmp_path / "out.glb", "--inputs", keys, "--seconds", 2, "--rate", 30)
+    result = process("graph", "sample:locomotion", tmp_path / "out.glb", "--inputs", keys, "--seconds", 2, "--rate", 30)
     assert result.returncode == 0, result.stderr
     assert "idle → move" in result.stdout and "move → jump" in result.stdout
     facts = json.loads(keypose("info", tmp_path / "out.glb", "--json").stdout)
@@ -167,7 +147,8 @@ def test_a_graph_is_run_and_baked(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["png", "gif", "mp4", "webm"])
 def test_render_writes_every_kind(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"walk.{suffix}"
-    result = keypose(
+    command = process if suffix == "png" else keypose
+    result = command(
         "render", "sample:walk", out, "--size", "160x120", "--end", "0.2", "--rate", "10", "--backend", "cpu"
     )
     assert result.returncode == 0, result.stderr

@@ -14,11 +14,11 @@ from PIL import Image
 
 from keypose import io
 from keypose.model import Motion
-from tests.cli.test_cli import keypose, refused
+from tests.cli.command import keypose, process, refused
 
 
 def test_clean_writes_says_and_a_second_time_changes_nothing(tmp_path: Path) -> None:
-    first = keypose("clean", "sample:walk", tmp_path / "a.glb", "--contacts", tmp_path / "a.json", "--floor", "0")
+    first = process("clean", "sample:walk", tmp_path / "a.glb", "--contacts", tmp_path / "a.json", "--floor", "0")
     assert first.returncode == 0, first.stderr
     assert "feet in contact slide" in first.stdout and "ground: level" in first.stdout
     second = keypose("clean", tmp_path / "a.glb", tmp_path / "b.glb", "--contacts", tmp_path / "b.csv")
@@ -59,7 +59,7 @@ def test_check_fails_on_demands_and_draws(tmp_path: Path) -> None:
     good = keypose("check", "sample:walk", "--fail-on", "skate>5,sink>3,contact<0.5", "--plot", plot)
     assert good.returncode == 0, good.stdout + good.stderr
     assert np.array(Image.open(plot)).shape[1] == 1400
-    bad = keypose("check", "sample:walk", "--fail-on", "jerk>1", "--json")
+    bad = process("check", "sample:walk", "--fail-on", "jerk>1", "--json")
     assert bad.returncode == 1
     facts = json.loads(bad.stdout)
     assert facts["schema"] == "keypose.quality/1" and "jerk" in facts["quality"][0]["failed"][0]

@@ -11,7 +11,7 @@ from keypose import io, samples
 from keypose.cli.edit import Edits, edit_file
 from keypose.errors import KeyposeError
 from keypose.evaluate import world
-from tests.cli.test_cli import keypose, refused
+from tests.cli.command import keypose, process, refused
 
 
 def hips_and_hand(path: Path) -> np.ndarray:
@@ -23,7 +23,7 @@ def hips_and_hand(path: Path) -> np.ndarray:
 
 def test_a_place_is_reached(tmp_path: Path) -> None:
     out = tmp_path / "out.bvh"
-    done = keypose("edit", "sample:walk", out, "--reach", "left_hand@60=+0.1,0.2,0.1", "--ease", 0.3)
+    done = process("edit", "sample:walk", out, "--reach", "left_hand@60=+0.1,0.2,0.1", "--ease", 0.3)
     assert done.returncode == 0, done.stderr
     assert "left_hand is where it should be" in done.stdout and "frames changed" in done.stdout
     walk = samples.load("walk")

@@ -9,11 +9,11 @@ import pytest
 
 from keypose import io
 from keypose.model import Motion
-from tests.cli.test_cli import keypose, refused
+from tests.cli.command import keypose, process, refused
 
 
 def test_a_performance_goes_on_the_human(tmp_path: Path) -> None:
-    done = keypose("retarget", "sample:walk", "--to", "sample:human", tmp_path / "out.glb")
+    done = process("retarget", "sample:walk", "--to", "sample:human", tmp_path / "out.glb")
     assert done.returncode == 0, done.stderr
     assert "bone directions" in done.stdout and "feet in contact slide" in done.stdout
     assert len(io.load(tmp_path / "out.glb").animations) == 1
@@ -29,7 +29,7 @@ def test_a_capture_goes_on_a_character(data_dir: Path, tmp_path: Path) -> None:
 
 
 def test_roles_are_printed_saved_and_used(tmp_path: Path) -> None:
-    shown = keypose("roles", "sample:human", tmp_path / "map.json")
+    shown = process("roles", "sample:human", tmp_path / "map.json")
     assert shown.returncode == 0 and "left_upper_arm" in shown.stdout and "LeftArm" in shown.stdout
     assert json.loads((tmp_path / "map.json").read_text())["hips"] == "Hips"
     listed = keypose("roles", "sample:human", "--json")
@@ -52,7 +52,7 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
 
 
 def test_the_quality_of_a_take_is_printed_and_compared() -> None:
-    shown = keypose("check", "sample:walk", "--quality")
+    shown = process("check", "sample:walk", "--quality")
     assert shown.returncode == 0 and "feet in contact slide" in shown.stdout and "as a loop" in shown.stdout
     listed = keypose("check", "sample:walk", "--against", "sample:walk", "--json")
     found = json.loads(listed.stdout)["quality"][0]

@@ -12,7 +12,7 @@ import pytest
 from keypose import io, samples
 from keypose.deform.weights import WeightsReport
 from keypose.io.registry import formats
-from tests.cli.test_cli import keypose, refused
+from tests.cli.command import keypose, process, refused
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def statue(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_statue_gets_a_skeleton_and_moves(statue: Path, tmp_path: Path) -> None:
     out = tmp_path / "hero.glb"
-    done = keypose("skin", statue, out, "--skeleton", "sample:walk")
+    done = process("skin", statue, out, "--skeleton", "sample:walk")
     assert done.returncode == 0, done.stderr
     assert "bone heat" in done.stdout and "61 joints" in done.stdout
     scene = io.load(out)

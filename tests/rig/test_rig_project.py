@@ -37,7 +37,7 @@ from keypose.project import commands as c
 from keypose.project.document import add_character, difference
 from keypose.project.file import from_bytes, load, save
 from keypose.project.workspace import Workspace
-from tests.cli.test_cli import keypose, refused
+from tests.cli.command import keypose, process, refused
 from tests.rig.bodies import human, human_rig
 
 
@@ -233,7 +233,7 @@ def test_controls_are_listed() -> None:
 
 def test_a_project_with_a_motion_on_controls_is_written_and_bakes_to_joints(tmp_path: Path) -> None:
     out = tmp_path / "walk.keypose"
-    done = keypose("rig", "sample:human", out, "--motion", "sample:walk")
+    done = process("rig", "sample:human", out, "--motion", "sample:walk")
     assert done.returncode == 0, done.stderr
     assert "joints within" in done.stdout
     document = load(out)
