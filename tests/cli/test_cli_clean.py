@@ -31,6 +31,17 @@ def test_clean_writes_says_and_a_second_time_changes_nothing(tmp_path: Path) -> 
     assert [int(r["first"]) for r in rows] == [c["first"] for c in facts["contacts"]]
 
 
+def test_the_figures_are_one_object_for_programs(tmp_path: Path) -> None:
+    contacts = tmp_path / "a.json"
+    done = keypose("clean", "sample:run", tmp_path / "a.glb", "--contacts", contacts, "--json")
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    listed = json.loads(contacts.read_text())
+    assert facts["schema"] == "keypose.clean/1" and facts["frames"] == listed["frames"]
+    assert facts["contacts"] == len(listed["contacts"]) and facts["ground"] == listed["ground"]
+    assert facts["after"]["skate_cm_s"] <= facts["before"]["skate_cm_s"] + 1e-9 and facts["settled"]
+
+
 def test_clean_writes_contacts_as_events(tmp_path: Path) -> None:
     done = keypose("clean", "sample:run", tmp_path / "a.npz", "--events", "-q")
     assert done.returncode == 0 and done.stdout == "", done.stderr

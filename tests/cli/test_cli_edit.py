@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,20 @@ from keypose import io, samples
 from keypose.cli.edit import Edits, edit_file
 from keypose.errors import KeyposeError
 from keypose.evaluate import world
+from keypose.model import Motion, Scene
 from tests.cli.command import keypose, process, refused
+
+
+def places(scene: Scene) -> np.ndarray:
+    """Where all joints are in the frames of the first motion."""
+    motion = scene.animations[0]
+    assert isinstance(motion, Motion)
+    return np.asarray(world(scene.character.skeleton, motion.pose.broadcast()))[..., :3, 3]
 
 
 def hips_and_hand(path: Path) -> np.ndarray:
     scene = io.load(path)
-    body = scene.character.skeleton
-    at = np.asarray(world(body, scene.animations[0].pose.broadcast()))[..., :3, 3]
+    body, at = scene.character.skeleton, places(scene)
     return at[:, [body.index("Hips"), body.index("LeftHand")]]
 
 
@@ -27,8 +36,7 @@ def test_a_place_is_reached(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "left_hand is where it should be" in done.stdout and "frames changed" in done.stdout
     walk = samples.load("walk")
-    body = walk.character.skeleton
-    before = np.asarray(world(body, walk.animations[0].pose.broadcast()))[..., :3, 3][:, body.index("LeftHand")]
+    before = places(walk)[:, walk.character.skeleton.index("LeftHand")]
     after = hips_and_hand(out)[:, 1]
     np.testing.assert_allclose(after[60] - before[60], [0.1, 0.2, 0.1], atol=1e-3)
     np.testing.assert_allclose(after[:40], before[:40], atol=1e-3)
@@ -56,9 +64,9 @@ def test_the_whole_body_and_poses(tmp_path: Path) -> None:
 
 def test_the_body_helps_a_short_arm(tmp_path: Path) -> None:
     out = tmp_path / "out.bvh"
-    edits = {"clip": "idle", "quiet": True}
     for whole_body, near in ((False, 1.0), (True, 1e-3)):
-        edit_file("sample:human", out, Edits(reaches=["left_hand@60=0.3,0.25,0.5"], whole_body=whole_body), **edits)
+        asked = Edits(reaches=["left_hand@60=0.3,0.25,0.5"], whole_body=whole_body)
+        edit_file("sample:human", out, asked, clip="idle", quiet=True)
         left = np.linalg.norm(hips_and_hand(out)[60, 1] - [0.3, 0.25, 0.5])
         assert left < near
         assert whole_body or left > 0.3
@@ -69,7 +77,36 @@ def test_a_capture_is_edited_and_filmed(data_dir: Path, tmp_path: Path) -> None:
     motion = data_dir / "asf_amc/cmu_02/02_01.amc"
     done = keypose("edit", motion, tmp_path / "out.npz", "--loop", "--reach", "lhand@100=+0,0.2,0.1")
     assert done.returncode == 0, done.stderr
-    assert io.load(tmp_path / "out.npz").animations[0].frame_count == 343
+    edited = io.load(tmp_path / "out.npz").animations[0]
+    assert isinstance(edited, Motion) and edited.frame_count == 343
+
+
+def test_the_figures_are_one_object_for_programs(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    done = keypose("edit", "sample:walk", out, "--speed", 2, "--bend", 30, "--reach", "left_hand@30=+0,0.1,0", "--json")
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    edited = io.load(out).animations[0]
+    assert isinstance(edited, Motion)
+    assert (facts["schema"], facts["file"]) == ("keypose.edit/1", str(out))
+    assert (facts["frames"], facts["rate_hz"]) == (edited.frame_count, pytest.approx(edited.rate_hz))
+    assert facts["path"]["turning_deg"] == pytest.approx(30, abs=1)
+    assert [r["joint"] for r in facts["reached"]] == ["left_hand"] and facts["reached"][0]["error_mm"] < 1
+    assert facts["after"]["skate_cm_s"] < 1
+
+
+def test_one_frame_has_no_path_but_a_pose(tmp_path: Path) -> None:
+    still, out = tmp_path / "still.npz", tmp_path / "out.npz"
+    walk = samples.load("walk")
+    motion = walk.animations[0]
+    assert isinstance(motion, Motion)
+    one = replace(motion, pose=motion.pose[:1], morph_weights=None, morph_names=())
+    io.save(replace(walk, animations=(one,)), still)
+    for edits in (["--loop"], ["--speed", "2"], ["--reach", "left_hand@0=+0,0.1,0", "--spacetime"]):
+        assert "one frame only" in refused(keypose("edit", still, out, *edits))
+    assert "one frame only" in refused(keypose("clean", still, out))
+    assert not out.exists()
+    assert keypose("edit", still, out, "--reach", "left_hand@0=+0,0.1,0").returncode == 0
 
 
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
@@ -85,7 +122,8 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
         (Edits(turns=["Head=0,0,0"]), "expected JOINT@FRAME"),
         (Edits(speed="fast"), "a factor such as 1.5"),
         (Edits(speed="0"), "positive"),
-        (Edits(follow="0,0"), "2 finite ones or more"),
+        (Edits(follow="0,0"), "two places or more"),
+        (Edits(follow=""), "two places or more"),
         (Edits(bend_deg=float("nan")), "expected degrees, got nan"),
         (Edits(), "no edit"),
         (Edits(loop=True, keep=["left_hand"]), "--keep"),

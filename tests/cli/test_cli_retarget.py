@@ -39,6 +39,37 @@ def test_roles_are_printed_saved_and_used(tmp_path: Path) -> None:
     assert done.returncode == 0 and done.stdout == "" and out.exists()
 
 
+def test_the_figures_are_one_object_for_programs(tmp_path: Path) -> None:
+    out = tmp_path / "out.npz"
+    done = keypose("retarget", "sample:walk", "--to", "sample:human", out, "--against", "sample:walk", "--json")
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert (facts["schema"], facts["file"], facts["frames"]) == ("keypose.retarget/1", str(out), 125)
+    assert facts["mean_direction_deg"] < 1 and facts["against"]["mean_direction_deg"] < 2
+    assert facts["direction_deg"]["left_lower_arm"] < 0.01 and "meshes were not written" in facts["notes"]
+
+
+def test_a_map_never_takes_the_place_of_a_character(tmp_path: Path) -> None:
+    hero = tmp_path / "hero.glb"
+    assert keypose("convert", "sample:walk", hero, "-q").returncode == 0
+    before = hero.read_bytes()
+    assert "one of the inputs" in refused(keypose("roles", hero, hero))
+    assert ".json" in refused(keypose("roles", hero, tmp_path / "map.bvh"))
+    assert hero.read_bytes() == before and not (tmp_path / "map.bvh").exists()
+    (tmp_path / "map.json").write_text("{")
+    wrong = refused(keypose("rig", hero, "--roles", tmp_path / "map.json"))
+    assert "map.json" in wrong and "JSON object" in wrong
+
+
+def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
+    out = tmp_path / "out.glb"
+    for option in ("--turn", "--raise", "--scale"):
+        assert "expected" in refused(keypose("convert", "sample:walk", out, option, "inf"))
+    assert keypose("retarget", "sample:walk", "--to", "sample:human", out, "--rate", "1e9").returncode == 2
+    assert keypose("rig", "sample:human", "--motion", "sample:walk").returncode == 2, "keys need a project"
+    assert not out.exists()
+
+
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
     out = tmp_path / "out.glb"
     (tmp_path / "map.json").write_text('{"hips": "Hisp"}')

@@ -23,9 +23,11 @@ def test_markers_stand_where_the_clip_would(tmp_path: Path) -> None:
 
 def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keypose.io.save(lab(), tmp_path / "lab.c3d")
-    print_info(str(tmp_path / "lab.c3d"), as_json=False, unit=None, up=None)
+    print_info(str(tmp_path / "lab.c3d"), as_json=False)
     out = " ".join(capsys.readouterr().out.split())
-    missing = 100 * (1 - lab().markers[0].visible.mean())
+    visible = lab().markers[0].visible
+    assert visible is not None
+    missing = 100 * (1 - visible.mean())
     for said in (
         "5 markers, 20 frames (1 to 20) at 100 Hz", f"{missing:.1f}% missing", "7 analog channels at 400 Hz in N/Nm/V",
         "2 angle signals at 100 Hz in deg", "1 force plate: 0.60 x 0.40 m (type 4)", "1 event",

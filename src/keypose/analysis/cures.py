@@ -76,7 +76,13 @@ def scaled(scene: Scene, factor: float) -> Scene:
 
 
 def turned(scene: Scene, degrees: float) -> Scene:
-    """The scene turned about the vertical, counter-clockwise seen from above: 90 brings +Z to +X."""
+    """The scene turned about the vertical, counter-clockwise seen from above: 90 brings +Z to +X.
+
+    Raises:
+        ShapeError: where the angle is not finite.
+    """
+    if not np.isfinite(degrees):
+        raise ShapeError(f"degrees: expected a finite angle, got {degrees}")
     angle = np.radians(degrees)
     turn = np.array([np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0])
 
@@ -95,7 +101,13 @@ def turned(scene: Scene, degrees: float) -> Scene:
 
 
 def raised(scene: Scene, metres: float) -> Scene:
-    """The scene lifted by some metres; force plates stay where they are."""
+    """The scene lifted by some metres; force plates stay where they are.
+
+    Raises:
+        ShapeError: where the height is not finite.
+    """
+    if not np.isfinite(metres):
+        raise ShapeError(f"metres: expected a finite height, got {metres}")
     up = np.array([0.0, metres, 0.0])
 
     def points(old: Array) -> Array:

@@ -12,9 +12,12 @@ from keypose.cli.arguments import (
     ClipOption,
     FormatOptions,
     Host,
+    JsonOption,
     NoBrowser,
     OneInput,
     Port,
+    QuietOption,
+    RateOption,
     Remote,
     SkeletonFile,
     Theme,
@@ -122,7 +125,7 @@ def play(
 )
 def info(
     file: OneInput,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
     unit: UnitOption = None,
     up: UpOption = None,
     skeleton: SkeletonFile = None,
@@ -130,8 +133,9 @@ def info(
 ) -> None:
     """Say what a file holds, and everything that was guessed, repaired or dropped on reading it."""
     from keypose.cli.info import print_info
+    from keypose.cli.inputs import Reading
 
-    print_info(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ())
+    print_info(file, reading=Reading(unit, up, skeleton, option or ()), as_json=json)
 
 
 @app.command(
@@ -146,7 +150,7 @@ def info(
 )
 def check(
     file: OneInput,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
     strict: Annotated[bool, typer.Option("--strict", help="Fail where there is a warning.")] = False,
     quality: Annotated[
         bool, typer.Option("--quality", help="Measure the motions: sliding feet, pops, overlaps, loops.")
@@ -171,15 +175,15 @@ def check(
 ) -> None:
     """Say how a file was understood (unit, axes, facing, rest pose, size, rates), and what is wrong with it."""
     from keypose.cli.check import QualityAsked, print_check, print_quality
+    from keypose.cli.inputs import Reading
 
+    reading = Reading(unit, up, skeleton, option or ())
     if quality or against is not None or fail_on or plot is not None:
         asked = QualityAsked(against, fail_on or (), plot, theme.value)
-        if not print_quality(
-            file, asked, as_json=json, clip=clip, unit=unit, up=up, skeleton=skeleton, options=option or ()
-        ):
+        if not print_quality(file, asked, clip=clip, reading=reading, as_json=json):
             raise typer.Exit(1)
         return
-    if not print_check(file, as_json=json, unit=unit, up=up, skeleton=skeleton, options=option or ()) and strict:
+    if not print_check(file, reading=reading, as_json=json) and strict:
         raise typer.Exit(1)
 
 
@@ -199,14 +203,14 @@ def convert(
         list[str], typer.Argument(metavar="IN... OUT", help="Files to read, then the one to write.", show_default=False)
     ],
     clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    rate: RateOption = None,
     unit: UnitOption = None,
     up: UpOption = None,
     out_unit: Annotated[
         str | None, typer.Option("--out-unit", help="Unit to write (BVH; else as it was read).")
     ] = None,
     order: Annotated[str | None, typer.Option("--order", help="Rotation order to write (BVH), such as ZXY.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Fail where the result is not within the limits, or lacks something.")
     ] = False,
@@ -235,6 +239,7 @@ def convert(
 ) -> None:
     """Convert between formats, read the result back and print how exact it is."""
     from keypose.cli.convert import Changes, Strictness, convert_files
+    from keypose.cli.inputs import Reading
 
     if len(files) < 2:
         raise typer.BadParameter("expected at least one input and the output", param_hint="IN... OUT")
@@ -243,12 +248,9 @@ def convert(
         Path(files[-1]),
         clip=clip,
         changes=Changes(skip, scale, turn, lift, rate, influences),
-        unit=unit,
-        up=up,
         out_unit=out_unit,
         order=order,
-        skeleton=skeleton,
-        options=option or (),
+        reading=Reading(unit, up, skeleton, option or ()),
         quiet=quiet,
         strictness=Strictness(strict, limit_mm, limit_deg, limit_relative),
     )
@@ -307,9 +309,10 @@ def render(
     backend: Annotated[Backend, typer.Option("--backend", help="OpenGL, or the software rasteriser.")] = Backend.auto,
     unit: UnitOption = None,
     up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Draw a picture, a video, a contact sheet or a turntable, without a screen."""
+    from keypose.cli.inputs import Reading
     from keypose.cli.render import render_files
 
     if len(files) < 2:
@@ -330,11 +333,9 @@ def render(
         turntable=turntable,
         sheet=sheet,
         bones=bones,
-        skeleton=skeleton,
         theme=theme.value,
         backend=backend.value,
-        unit=unit,
-        up=up,
+        reading=Reading(unit, up, skeleton),
         quiet=quiet,
     )
 
@@ -356,7 +357,7 @@ def graph(
     ] = None,
     seconds: Annotated[float, typer.Option("--seconds", help="How long to run.", min=0.01, max=3600)] = 5.0,
     rate: Annotated[float, typer.Option("--rate", help="Steps per second.", min=1, max=1000)] = 60.0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Run an animation graph headless and bake what it does into a file."""
     from keypose.cli.graph import bake_graph

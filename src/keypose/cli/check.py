@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from keypose.cli.console import console
-from keypose.cli.inputs import baked, open_input
+from keypose.cli.inputs import AS_THEY_SAY, Reading, in_frames, open_input, open_inputs
+from keypose.cli.output import not_an_input, print_json, print_written
 from keypose.errors import FormatError
 from keypose.model import Motion, Pose, Scene, Skeleton
 
@@ -31,24 +31,16 @@ _SIGNS = {
 _TIMES = ("textgrid", "hts", "livelink")  # have no space
 
 
-def print_check(
-    reference: str,
-    *,
-    as_json: bool,
-    unit: str | None,
-    up: str | None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
-) -> bool:
+def print_check(reference: str, *, reading: Reading = AS_THEY_SAY, as_json: bool = False) -> bool:
     """Print how a file was understood and what is wrong with it; whether nothing is."""
     from keypose.analysis import examine
     from keypose.io.axes import unit_name
 
-    found = examine(open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options))
+    found = examine(open_input(reference, reading))
     facts = {"file": reference, "unit": unit_name(found.facts["unit_m"]), **found.facts}
     if as_json:
         rows = [{**asdict(f), "fix": _command(f.fix, reference)} for f in found.findings]
-        print(json.dumps({**facts, "findings": rows}, indent=1, ensure_ascii=False))
+        print_json({**facts, "findings": rows})
         return not found.warnings
     from rich.markup import escape
     from rich.table import Table
@@ -85,12 +77,9 @@ def print_quality(
     reference: str,
     asked: QualityAsked,
     *,
-    as_json: bool,
-    clip: str | None,
-    unit: str | None,
-    up: str | None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
+    clip: str | None = None,
+    reading: Reading = AS_THEY_SAY,
+    as_json: bool = False,
 ) -> bool:
     """Print the figures of a file's motions, or of one beside another take; whether all demands are met.
 
@@ -106,10 +95,10 @@ def print_quality(
     if asked.plot is not None and asked.plot.suffix.lower() != ".png":
         raise FormatError("expected a .png for the picture", path=asked.plot)
     if asked.plot is not None:
+        not_an_input(asked.plot, [reference, asked.against])
         check_place(asked.plot)
-    scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
+    scene, *others = open_inputs([reference, *([] if asked.against is None else [asked.against])], reading)
     body, motions = _motions(scene, reference, clip)
-    other = None if asked.against is None else open_input(asked.against, unit=unit, up=up)
     known = scene.character.roles
     found = find_roles(body, known=known or None)
     roles = dict(found.roles)
@@ -119,9 +108,7 @@ def print_quality(
     for motion in motions:
         quality = measure_quality(motion, body, found, stand=None if found.missing else _stand(body, roles, motion))
         row = quality_json(motion.name, quality)
-        beside = (
-            [] if other is None or asked.against is None else _compared(motion, body, roles, other, asked.against, row)
-        )
+        beside = _compared(motion, body, roles, others[0], asked.against, row) if others and asked.against else []
         lacking = unmet(row, demands)
         failed += len(lacking)
         rows.append({**row, "failed": list(lacking)} if demands else row)
@@ -139,9 +126,9 @@ def print_quality(
         for line in lacking:
             out.print(f"  [red]failed[/red] {escape(line)}")
     if as_json:
-        print(json.dumps({"schema": SCHEMA, "file": reference, "quality": rows}, indent=1, ensure_ascii=False))
+        print_json({"schema": SCHEMA, "file": reference, "quality": rows})
     elif asked.plot is not None:
-        out.print(f"[green]wrote[/green] {asked.plot}")
+        print_written(asked.plot)
     return not failed
 
 
@@ -213,7 +200,7 @@ def _motions(scene: Scene, reference: str, clip: str | None) -> tuple[Skeleton, 
         raise FormatError("it has no motion of a skeleton", path=reference)
     body = scene.character.skeleton
     chosen = scene.animations if clip is None else (scene.animation(clip),)
-    motions = [a if isinstance(a, Motion) else baked(a, body) for a in chosen if a.duration_s > 0]
+    motions = [in_frames(a, body) for a in chosen if a.duration_s > 0]
     if not motions:
         raise FormatError("its motions have one frame only", path=reference)
     return body, motions

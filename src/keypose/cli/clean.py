@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from keypose.cli.console import console, progress_bar
-from keypose.cli.inputs import file_word, motion_of, open_input, read_roles
-from keypose.cli.output import check_output, print_written, write_scene
+from keypose.cli.console import console, counted, progress_bar
+from keypose.cli.inputs import AS_THEY_SAY, Reading, motion_of, open_input, read_roles
+from keypose.cli.output import (
+    check_output,
+    motion_facts,
+    motion_words,
+    not_an_input,
+    print_json,
+    print_written,
+    write_scene,
+)
 from keypose.errors import FormatError, KeyposeError, ShapeError
 from keypose.model import Character, Motion, Scene
 
@@ -23,7 +31,13 @@ if TYPE_CHECKING:
     from keypose.analysis.quality import Quality
     from keypose.editing.planting import HipsMode, PlantResult
 
-SCHEMA = "keypose.contacts/1"
+SCHEMA, CONTACTS_SCHEMA = "keypose.clean/1", "keypose.contacts/1"
+
+_FIGURES = (
+    ("feet in contact slide, mean", "skate_cm_s", "cm/s"),
+    ("at most", "worst_skate_cm_s", "cm/s"),
+    ("feet sink, at most", "sink_cm", "cm"),
+)
 
 
 def clean_file(
@@ -40,10 +54,8 @@ def clean_file(
     events: bool = False,
     roles: Path | None = None,
     rate_hz: float | None = None,
-    unit: str | None = None,
-    up: str | None = None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
+    reading: Reading = AS_THEY_SAY,
+    as_json: bool = False,
     quiet: bool = False,
 ) -> None:
     """Plant the feet of a motion, write it with its character and print what changed.
@@ -63,20 +75,23 @@ def clean_file(
 
     check_output(output, [source])
     if contacts is not None:
+        not_an_input(contacts, [source])
         if contacts.suffix.lower() not in (".json", ".csv"):
             raise FormatError("expected a .json or a .csv for contacts", path=contacts)
         check_place(contacts)
     if floor_m is not None and not np.isfinite(floor_m):
         raise ShapeError(f"--floor: expected a height in metres, got {floor_m}")
-    scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
+    scene = open_input(source, reading)
     motion = motion_of(scene, source, clip, rate_hz)
+    if motion.frame_count < 2:
+        raise FormatError("it has one frame only; feet are planted in a motion", path=source)
     character = scene.character
     body = character.skeleton
     known = _roles(roles, character)
     asked = PlantOptions(
         ground=_ground(ground, character, known), level_feet=level_feet, hips=cast("HipsMode", hips), loop=loop
     )
-    with progress_bar("planting feet", quiet=quiet) as progress:
+    with progress_bar("planting feet", quiet=quiet or as_json) as progress:
         done = plant_feet(motion, body, known, options=asked, progress=progress)
     made = done.motion
     if floor_m is not None:
@@ -86,16 +101,20 @@ def clean_file(
         made = replace(made, events=tuple(sorted((*made.events, *added), key=lambda e: e.time_s)))
     made = replace(made, name=motion.name or Path(source).stem)
     cleaned = Scene((character,), (made,), unit_m=scene.unit_m)
-    notes = write_scene(cleaned, output, quiet=quiet)
+    notes = write_scene(cleaned, output, quiet=quiet or as_json)
     if contacts is not None:
         write_contacts(contacts, source, made, done.footing)
-    if quiet:
+    if quiet and not as_json:
         return
     before, after = (
         measure_quality(m, body, known, touching=done.touching, ground=done.footing.ground)
         for m in (motion, done.motion)
     )
-    _print(output, made, done, before, after, notes)
+    if as_json:
+        print_json({**motion_facts(output, made), **_facts(done, before, after), "notes": notes})
+    else:
+        print_written(output, motion_words(made), notes)
+        _print(done, before, after)
 
 
 def write_contacts(path: Path, source: str, motion: Motion, footing: Footing) -> None:
@@ -107,7 +126,7 @@ def write_contacts(path: Path, source: str, motion: Motion, footing: Footing) ->
     with replacing(path) as fresh:
         if path.suffix.lower() == ".json":
             facts = {
-                "schema": SCHEMA,
+                "schema": CONTACTS_SCHEMA,
                 "file": source,
                 "motion": motion.name,
                 "rate_hz": motion.rate_hz,
@@ -164,34 +183,45 @@ def _sole_m(character: Character, roles: Mapping[str, int]) -> float:
     return max(0.0, float(places[joints, 1].mean()) - lowest)
 
 
-def _print(
-    output: Path, motion: Motion, done: PlantResult, before: Quality, after: Quality, notes: Sequence[str]
-) -> None:
+def _count(touching: Mapping[str, np.ndarray]) -> int:
+    """How often heels and balls come down."""
+    starts = (np.diff(np.concatenate([[False], flags]).astype(np.int8)) == 1 for flags in touching.values())
+    return sum(int(start.sum()) for start in starts)
+
+
+def _facts(done: PlantResult, before: Quality, after: Quality) -> dict[str, Any]:
+    """The figures for programs; those of feet before and after, in cm/s and cm."""
+    return {
+        "schema": SCHEMA,
+        "ground": done.footing.ground.describe(),
+        "contacts": _count(done.touching),
+        "feet_moved_cm": 100 * float(done.moved_m.max(initial=0.0)),
+        "hips_moved_cm": 100 * float(done.hips_m.max(initial=0.0)),
+        "knee_ratio": done.knee_ratio,
+        "settled": done.settled,
+        "before": {name: getattr(before, name) for _, name, _ in _FIGURES},
+        "after": {name: getattr(after, name) for _, name, _ in _FIGURES},
+    }
+
+
+def _print(done: PlantResult, before: Quality, after: Quality) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    print_written(output, f"{file_word(motion.frame_count, 'frame')} at {motion.rate_hz:g} Hz", notes)
     out = console()
     if not done.moved_m.any():
         out.print("  feet stand still already: nothing was changed")
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 2), header_style="dim")
     for title in ("", "before", "after"):
         table.add_column(title, justify="left" if not title else "right")
-    for title, name, unit in (
-        ("feet in contact slide, mean", "skate_cm_s", "cm/s"),
-        ("at most", "worst_skate_cm_s", "cm/s"),
-        ("feet sink, at most", "sink_cm", "cm"),
-    ):
+    for title, name, unit in _FIGURES:
         cells = [getattr(q, name) for q in (before, after)]
         table.add_row(title, *("-" if v is None else f"{v:.2f} {unit}" for v in cells))
     table.add_row("knees accelerate, at most", "1.00 times", f"{done.knee_ratio:.2f} times")
     out.print(table)
-    count = sum(
-        len(np.flatnonzero(np.diff(np.concatenate([[False], f]).astype(np.int8)) == 1)) for f in done.touching.values()
-    )
     out.print(
-        f"  {file_word(count, 'contact')} of heels and balls; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
-        f"hips {100 * done.hips_m.max(initial=0.0):.1f} cm"
+        f"  {counted(_count(done.touching), 'contact')} of heels and balls; feet moved "
+        f"{100 * done.moved_m.max(initial=0.0):.1f} cm at most, hips {100 * done.hips_m.max(initial=0.0):.1f} cm"
     )
     out.print(f"  ground: {escape(done.footing.ground.describe())}")
     if not done.settled:

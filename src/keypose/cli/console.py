@@ -17,6 +17,11 @@ def console() -> Console:
     return Console(highlight=False, soft_wrap=True)
 
 
+def counted(count: int, word: str, plural: str | None = None) -> str:
+    """``1 clip``, ``3 clips``."""
+    return f"{count:,} {word if count == 1 else plural or word + 's'}"
+
+
 @contextmanager
 def progress_bar(label: str, *, quiet: bool = False, after_s: float = 0.4) -> Generator[Progress]:
     """A function ``(done, total)`` that draws a bar on a terminal once the work has taken a moment."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from keypose.cli.inputs import open_chosen, unit_option
+from keypose.cli.inputs import AS_THEY_SAY, Reading, open_chosen, unit_option
 from keypose.cli.options import choose, parameters
 from keypose.cli.output import not_an_input, print_written
 from keypose.errors import FormatError
@@ -46,12 +45,9 @@ def convert_files(
     *,
     clip: str | None,
     changes: Changes,
-    unit: str | None,
-    up: str | None,
     out_unit: str | None,
     order: str | None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
+    reading: Reading = AS_THEY_SAY,
     quiet: bool = False,
     strictness: Strictness | None = None,
 ) -> None:
@@ -68,8 +64,8 @@ def convert_files(
     if chosen is None or not chosen.write:  # told before anything is read
         raise unknown_format(output, writing=True)
     not_an_input(output, inputs)
-    given = choose(options, inputs, output)
-    scene = combine(inputs, open_chosen(inputs, given, unit=unit, up=up, skeleton=skeleton))
+    given = choose(reading.options, inputs, output)
+    scene = combine(inputs, open_chosen(inputs, given, reading))
     if clip is not None:
         scene = replace(scene, animations=(scene.animation(clip),))
     known = parameters(chosen.writer())

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from keypose.cli.console import Progress, progress_bar
-from keypose.cli.inputs import file_word, motion_of, open_input
-from keypose.cli.output import check_output, print_written, write_scene
-from keypose.errors import ShapeError
+from keypose.cli.inputs import AS_THEY_SAY, Reading, motion_of, open_input
+from keypose.cli.output import check_output, motion_facts, motion_words, print_json, print_written, write_scene
+from keypose.errors import FormatError, ShapeError
 from keypose.model import Motion, Scene, Skeleton
 
 if TYPE_CHECKING:
+    from keypose.editing.paths import PathResult
     from keypose.editing.reach import Reach
 
+SCHEMA = "keypose.edit/1"
 FEET = ("left_foot", "right_foot")
 _REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
 _TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
@@ -41,6 +43,65 @@ class Edits:
     stride: float | None = None
     speed: str | None = None
 
+    @property
+    def on_path(self) -> bool:
+        """Whether the way or the speed on it changes."""
+        return self.speed is not None or self.new_path
+
+    @property
+    def new_path(self) -> bool:
+        """Whether the way changes."""
+        return self.loop or any(value is not None for value in (self.bend_deg, self.follow, self.stride))
+
+
+@dataclass(slots=True)
+class _Figures:
+    """What came of the edits, collected as they are done; ``reached`` how far joints stay from their places in metres."""
+
+    duration_s: float | None = None
+    path: PathResult | None = None
+    reached: list[tuple[str, float]] = field(default_factory=list[tuple[str, float]])
+    converged: bool = True
+    frames_changed: int | None = None
+    skate_cm_s: tuple[float | None, float | None] = (None, None)
+
+    def lines(self, frame_count: int) -> list[str]:
+        """For people."""
+        lines: list[str] = []
+        if self.duration_s is not None:
+            lines.append(f"{self.duration_s:.2f} s long")
+        if self.path is not None:
+            turned = np.degrees(self.path.path.turning_rad)
+            lines.append(f"a way of {self.path.path.lengths_m[-1]:.2f} m that turns by {turned:.0f} degrees")
+            if self.path.short_m > 0.001:
+                short = f"{100 * self.path.short_m:.1f} cm"
+                lines.append(f"a planted foot stays up to {short} from its place: the leg is too short")
+        lines += [_missed(joint, error_m) for joint, error_m in self.reached]
+        if not self.converged:
+            lines.append("the solver had not come to rest")
+        if self.frames_changed is not None:
+            lines.append(f"{self.frames_changed:,} of {frame_count:,} frames changed")
+        before, after = self.skate_cm_s
+        if before is not None and after is not None:
+            lines.append(f"feet in contact slide {after:.1f} cm/s (before: {before:.1f})")
+        return lines
+
+    def facts(self) -> dict[str, Any]:
+        """For programs."""
+        path = None
+        if self.path is not None:
+            length, turned = float(self.path.path.lengths_m[-1]), float(np.degrees(self.path.path.turning_rad))
+            path = {"length_m": length, "turning_deg": turned, "short_cm": 100 * self.path.short_m}
+        before, after = self.skate_cm_s
+        return {
+            "path": path,
+            "reached": [{"joint": joint, "error_mm": 1000 * error_m} for joint, error_m in self.reached],
+            "converged": self.converged,
+            "frames_changed": self.frames_changed,
+            "before": {"skate_cm_s": before},
+            "after": {"skate_cm_s": after},
+        }
+
 
 def edit_file(
     source: str,
@@ -49,10 +110,8 @@ def edit_file(
     *,
     clip: str | None = None,
     rate_hz: float | None = None,
-    unit: str | None = None,
-    up: str | None = None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
+    reading: Reading = AS_THEY_SAY,
+    as_json: bool = False,
     quiet: bool = False,
 ) -> None:
     """Edit a motion and write it with its character: first its speed, then its path, then poses, then places to reach.
@@ -64,21 +123,24 @@ def edit_file(
     check_output(output, [source])
     _check_asked(edits)
     reaches = [_reach(text) for text in edits.reaches]
-    scene = open_input(source, unit=unit, up=up, skeleton=skeleton, options=options)
+    scene = open_input(source, reading)
     motion = motion_of(scene, source, clip, rate_hz)
-    with progress_bar("editing", quiet=quiet) as progress:
-        edited, lines = _edited(motion, scene.character.skeleton, edits, reaches, progress)
+    if motion.frame_count < 2 and (edits.on_path or edits.spacetime):
+        raise FormatError("it has one frame only; a path, a speed and --spacetime need a motion", path=source)
+    with progress_bar("editing", quiet=quiet or as_json) as progress:
+        edited, figures = _edited(motion, scene.character.skeleton, edits, reaches, progress)
     edited = replace(edited, name=motion.name or Path(source).stem)
     made = Scene((scene.character,), (edited,), unit_m=scene.unit_m)
-    notes = write_scene(made, output, quiet=quiet)
-    if not quiet:
-        print_written(output, f"{file_word(edited.frame_count, 'frame')} at {edited.rate_hz:g} Hz", notes, lines)
+    notes = write_scene(made, output, quiet=quiet or as_json)
+    if as_json:
+        print_json({"schema": SCHEMA, **motion_facts(output, edited), **figures.facts(), "notes": notes})
+    elif not quiet:
+        print_written(output, motion_words(edited), notes, figures.lines(motion.frame_count))
 
 
 def _check_asked(edits: Edits) -> None:
     """Refuse, before anything is read, what asks for nothing or for what cannot be."""
-    values = (edits.bend_deg, edits.follow, edits.stride, edits.speed)
-    if not (edits.reaches or edits.turns or edits.loop or any(value is not None for value in values)):
+    if not (edits.reaches or edits.turns or edits.on_path):
         raise ShapeError("no edit: expected --reach, --turn, --bend, --loop, --follow, --stride or --speed")
     if (edits.spacetime or edits.whole_body) and not edits.reaches:
         raise ShapeError("--whole-body, --spacetime: expected a --reach to go with them")
@@ -90,18 +152,18 @@ def _check_asked(edits: Edits) -> None:
 
 def _edited(
     motion: Motion, skeleton: Skeleton, edits: Edits, reaches: Sequence[Reach], progress: Progress
-) -> tuple[Motion, list[str]]:
-    """The motion after all edits, and what to say of them."""
+) -> tuple[Motion, _Figures]:
+    """The motion after all edits, and what came of them."""
     from keypose.analysis.quality import measure_quality
     from keypose.editing.reach import changed_frames, found_roles
 
     roles = found_roles(skeleton)
-    lines: list[str] = []
-    result = _on_path(motion, skeleton, edits, lines)
+    figures = _Figures()
+    result = _on_path(motion, skeleton, roles, edits, figures)
     for text in edits.turns:
-        result = _turned(result, skeleton, text, edits)
+        result = _turned(result, skeleton, roles, text, edits)
     if reaches and edits.spacetime:
-        result = _spacetime(result, skeleton, reaches, edits, lines, progress)
+        result = _spacetime(result, skeleton, roles, reaches, edits, figures, progress)
     elif reaches:
         from keypose.editing.reach import reach
 
@@ -116,23 +178,20 @@ def _edited(
             progress=progress,
         )
         result = done.motion
-        lines += [_missed(r.joint, float(e.max())) for r, e in zip(reaches, done.error_m, strict=True)]
+        figures.reached = [(r.joint, float(e.max())) for r, e in zip(reaches, done.error_m, strict=True)]
     if result.frame_count == motion.frame_count:
-        lines.append(f"{int(changed_frames(motion, result).sum()):,} of {motion.frame_count:,} frames changed")
+        figures.frames_changed = int(changed_frames(motion, result).sum())
     before, after = (
         measure_quality(m, skeleton, roles or None).skate_cm_s if m.frame_count > 1 else None for m in (motion, result)
     )
-    if before is not None and after is not None:
-        lines.append(f"feet in contact slide {after:.1f} cm/s (before: {before:.1f})")
-    return result, lines
+    figures.skate_cm_s = before, after
+    return result, figures
 
 
-def _on_path(motion: Motion, skeleton: Skeleton, edits: Edits, lines: list[str]) -> Motion:
+def _on_path(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], edits: Edits, figures: _Figures) -> Motion:
     """The motion at its new speed, on its new path."""
     from keypose.editing import paths
-    from keypose.editing.reach import found_roles
 
-    roles = found_roles(skeleton)
     if edits.speed is not None:
         found = _SPEED.match(edits.speed.replace(" ", ""))
         if found is None:
@@ -143,35 +202,34 @@ def _on_path(motion: Motion, skeleton: Skeleton, edits: Edits, lines: list[str])
         own = paths.extract_path(motion, skeleton, roles=roles)
         factors = paths.speeds_for(own, value) if found["unit"] == "m/s" else value
         motion = paths.retime(motion, skeleton, factors, roles=roles)
-        lines.append(f"{motion.duration_s:.2f} s long")
-    if edits.bend_deg is None and not edits.loop and edits.follow is None and edits.stride is None:
+        figures.duration_s = motion.duration_s
+    if not edits.new_path:
         return motion
     old = paths.extract_path(motion, skeleton, roles=roles)
     path = old if edits.stride is None else paths.scale_path(old, edits.stride)
     if edits.follow is not None:
         drawn = [_numbers(p, 2, "--follow") for p in edits.follow.replace(";", " ").split()]
+        if len(drawn) < 2:
+            raise ShapeError(f"--follow: expected two places or more such as '0,0 0,1 1,2', got '{edits.follow}'")
         path = paths.follow_points(path, np.array(drawn))
     if edits.bend_deg is not None:
         path = paths.bend_path(path, float(np.radians(edits.bend_deg)))
     if edits.loop:
         path = paths.close_path(path)
     done = paths.put_on_path(motion, skeleton, path, old=old, roles=roles)
-    lines.append(f"a way of {path.lengths_m[-1]:.2f} m that turns by {np.degrees(path.turning_rad):.0f} degrees")
-    if done.short_m > 0.001:
-        lines.append(f"a planted foot stays up to {100 * done.short_m:.1f} cm from its place: the leg is too short")
+    figures.path = done
     return done.motion
 
 
-def _turned(motion: Motion, skeleton: Skeleton, text: str, edits: Edits) -> Motion:
+def _turned(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], text: str, edits: Edits) -> Motion:
     """The motion with a joint turned in one frame, and around it less and less."""
     from keypose.editing.falloff import edit_pose, with_joints
-    from keypose.editing.reach import found_roles, joint_of
+    from keypose.editing.reach import joint_of
     from keypose.math import quat
 
     found = _TURN.match(text)
     if found is None:
         raise ShapeError(f"--turn: expected JOINT@FRAME=X,Y,Z in degrees, got '{text}'")
-    roles = found_roles(skeleton)
     joint = joint_of(skeleton, found["joint"], roles)
     frame = int(found["first"])
     if frame >= motion.frame_count:
@@ -195,18 +253,18 @@ def _turned(motion: Motion, skeleton: Skeleton, text: str, edits: Edits) -> Moti
 def _spacetime(
     motion: Motion,
     skeleton: Skeleton,
+    roles: Mapping[str, int],
     reaches: Sequence[Reach],
     edits: Edits,
-    lines: list[str],
+    figures: _Figures,
     progress: Progress,
 ) -> Motion:
     """All reaches at once, by the whole body, with what is to be kept where it is."""
     from keypose.editing.constraints import Constraint, Place, Turn, kept_in_place
-    from keypose.editing.reach import found_roles, joint_of
+    from keypose.editing.reach import joint_of
     from keypose.editing.spacetime import solve_spacetime
     from keypose.evaluate import world_rotations_positions
 
-    roles = found_roles(skeleton)
     ease = max(4, round(edits.ease_s * motion.rate_hz))
     last = motion.frame_count - 1
     late = next((r for r in reaches if r.last > last), None)
@@ -225,9 +283,9 @@ def _spacetime(
     keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in FEET if f in roles]]
     wanted += kept_in_place(motion, skeleton, [skeleton.names[j] for j in keep if j not in moved], span)
     done = solve_spacetime(motion, skeleton, window, wanted, roles=roles, progress=progress)
-    lines += [_missed(c.joint, float(e.max())) for c, e in zip(wanted, done.error, strict=True) if isinstance(c, Place)]
-    if not done.converged:
-        lines.append("the solver had not come to rest")
+    misses = zip(wanted, done.error, strict=True)
+    figures.reached = [(c.joint, float(e.max())) for c, e in misses if isinstance(c, Place)]
+    figures.converged = done.converged
     return done.motion
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
 from typing import Any
 
-from keypose.cli.console import console
+from keypose.cli.console import console, counted
 from keypose.cli.info_project import print_project
-from keypose.cli.inputs import file_word, open_input
+from keypose.cli.inputs import AS_THEY_SAY, Reading, open_input
+from keypose.cli.output import print_json
 from keypose.model import Clip, Motion, Scene
 
 
@@ -59,20 +58,12 @@ def describe(scene: Scene) -> dict[str, Any]:
     }
 
 
-def print_info(
-    reference: str,
-    *,
-    as_json: bool,
-    unit: str | None,
-    up: str | None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
-) -> None:
+def print_info(reference: str, *, reading: Reading = AS_THEY_SAY, as_json: bool = False) -> None:
     """Print what a file holds, for people or as JSON."""
-    scene = open_input(reference, unit=unit, up=up, skeleton=skeleton, options=options)
+    scene = open_input(reference, reading)
     facts = describe(scene)
     if as_json:
-        print(json.dumps(facts, indent=1, ensure_ascii=False))
+        print_json(facts)
         return
     from rich.markup import escape
     from rich.table import Table
@@ -94,12 +85,10 @@ def print_info(
             table.add_column(title, justify=side)  # pyright: ignore[reportArgumentType]
         for animation, clip in zip(scene.animations, facts["clips"], strict=True):
             if isinstance(animation, Clip):
-                channels = file_word(len(animation.curves), "curve")
+                channels = counted(len(animation.curves), "curve")
             else:
-                weights = [file_word(len(animation.morph_names), "weight")] if animation.morph_names else []
-                joints = (
-                    [file_word(len(animation.joint_names), "joint")] if animation.joint_names or not weights else []
-                )
+                weights = [counted(len(animation.morph_names), "weight")] if animation.morph_names else []
+                joints = [counted(len(animation.joint_names), "joint")] if animation.joint_names or not weights else []
                 channels = ", ".join(joints + weights)
             table.add_row(
                 f"  {escape(clip['name'] or '(unnamed)')}",
@@ -116,7 +105,7 @@ def print_info(
         kind = "point" if tier.is_points else "interval"
         spoken = " ".join(label for label in tier.labels if label)
         out.print(
-            f"  {escape(tier.name or 'tier')}: {file_word(len(tier.labels), kind)}, {tier.start_s:.3f} to {tier.end_s:.3f} s"
+            f"  {escape(tier.name or 'tier')}: {counted(len(tier.labels), kind)}, {tier.start_s:.3f} to {tier.end_s:.3f} s"
         )
         out.print(f"    [dim]{escape(spoken[:100] + ('…' if len(spoken) > 100 else ''))}[/dim]")
     for note in scene.notes:
@@ -131,8 +120,8 @@ def _print_capture(out: Any, scene: Scene) -> None:
         missing = 1 - float(markers.visible.mean()) if markers.visible is not None and markers.visible.size else 0.0
         last = markers.start_frame + markers.frame_count - 1
         out.print(
-            f"  {escape(markers.name or 'markers')}: {file_word(len(markers.names), 'marker')}, "
-            f"{file_word(markers.frame_count, 'frame')} ({markers.start_frame} to {last}) at {markers.rate_hz:.6g} Hz, "
+            f"  {escape(markers.name or 'markers')}: {counted(len(markers.names), 'marker')}, "
+            f"{counted(markers.frame_count, 'frame')} ({markers.start_frame} to {last}) at {markers.rate_hz:.6g} Hz, "
             f"{markers.duration_s:.3f} s, {100 * missing:.1f}% missing"
         )
         out.print(f"    [dim]{escape(_names(markers.names))}[/dim]")
@@ -140,7 +129,7 @@ def _print_capture(out: Any, scene: Scene) -> None:
         units = "/".join(dict.fromkeys(filter(None, signals.units)))
         kind = "analog channel" if signals.kind == "analog" else f"{signals.kind} signal"
         out.print(
-            f"  {file_word(len(signals.names), kind)} at {signals.rate_hz:.6g} Hz{f' in {escape(units)}' if units else ''}"
+            f"  {counted(len(signals.names), kind)} at {signals.rate_hz:.6g} Hz{f' in {escape(units)}' if units else ''}"
         )
         out.print(f"    [dim]{escape(_names(signals.names))}[/dim]")
     if scene.plates:
@@ -148,10 +137,10 @@ def _print_capture(out: Any, scene: Scene) -> None:
         for plate in scene.plates:
             a, b, c = (tuple(map(float, plate.corners[i])) for i in range(3))
             sizes.append(f"{math.dist(a, b):.2f} x {math.dist(b, c):.2f} m (type {plate.kind})")
-        out.print(f"  {file_word(len(scene.plates), 'force plate')}: {', '.join(sizes)}")
+        out.print(f"  {counted(len(scene.plates), 'force plate')}: {', '.join(sizes)}")
     events = scene.extras.get("events", ())
     if events:
-        out.print(f"  {file_word(len(events), 'event')}")
+        out.print(f"  {counted(len(events), 'event')}")
 
 
 def _names(names: tuple[str, ...], limit: int = 24) -> str:
@@ -160,15 +149,15 @@ def _names(names: tuple[str, ...], limit: int = 24) -> str:
 
 
 def _summary(character: Any) -> str:
-    pieces = [file_word(character.skeleton.joint_count, "joint")]
+    pieces = [counted(character.skeleton.joint_count, "joint")]
     if character.parts:
         pieces += [
-            file_word(len(character.parts), "mesh part"),
-            file_word(character.vertex_count, "vertex", "vertices"),
-            file_word(character.triangle_count, "triangle"),
+            counted(len(character.parts), "mesh part"),
+            counted(character.vertex_count, "vertex", "vertices"),
+            counted(character.triangle_count, "triangle"),
         ]
     if character.morph_names:
-        pieces.append(file_word(len(character.morph_names), "morph"))
+        pieces.append(counted(len(character.morph_names), "morph"))
     return ", ".join(pieces)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from keypose.cli.options import Chosen, choose, parameters, reader_of, with_option
-from keypose.errors import FormatError, ShapeError
-from keypose.model import Clip, Motion, Scene, Skeleton
+from keypose.errors import FormatError, KeyposeError, ShapeError
+from keypose.model import Character, Clip, Motion, Scene, Skeleton
 
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
@@ -16,46 +17,38 @@ if TYPE_CHECKING:
 _FILM_HZ = 30.0  # of clips that name no rate and whose keys are at none
 
 
-def open_input(
-    reference: str,
-    *,
-    unit: str | None = None,
-    up: str | None = None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
-) -> Scene:
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is said about files that do not say it: unit and up axis, the skeleton of a motion, options of their formats."""
+
+    unit: str | None = None
+    up: str | None = None
+    skeleton: str | None = None
+    options: Sequence[str] = ()
+
+
+AS_THEY_SAY = Reading()
+
+
+def open_input(reference: str, reading: Reading = AS_THEY_SAY) -> Scene:
     """The scene of a file or of ``sample:NAME``; raises where its format does not take the options."""
-    return open_inputs([reference], unit=unit, up=up, skeleton=skeleton, options=options)[0]
+    return open_inputs([reference], reading)[0]
 
 
-def open_inputs(
-    references: list[str],
-    *,
-    unit: str | None = None,
-    up: str | None = None,
-    skeleton: str | None = None,
-    options: Sequence[str] = (),
-) -> list[Scene]:
-    """Several scenes; ``unit``, ``up`` and ``skeleton`` go to those files whose format takes them.
+def open_inputs(references: list[str], reading: Reading = AS_THEY_SAY) -> list[Scene]:
+    """Several scenes; unit, up axis and skeleton go to those files whose format takes them.
 
     Raises:
         ShapeError, UnknownName: where no file takes an option that was given.
     """
-    return open_chosen(references, choose(options, references), unit=unit, up=up, skeleton=skeleton)
+    return open_chosen(references, choose(reading.options, references), reading)
 
 
-def open_chosen(
-    references: list[str],
-    chosen: Chosen,
-    *,
-    unit: str | None = None,
-    up: str | None = None,
-    skeleton: str | None = None,
-) -> list[Scene]:
-    """As `open_inputs`, with options that are sorted already."""
+def open_chosen(references: list[str], chosen: Chosen, reading: Reading = AS_THEY_SAY) -> list[Scene]:
+    """As `open_inputs`, with the options of formats sorted already."""
     from keypose.samples import open_scene
 
-    for name, value in (("unit", unit), ("up", up)):
+    for name, value in (("unit", reading.unit), ("up", reading.up)):
         if value is None:
             continue
         if not any(name in parameters(reader_of(r)) for r in references):
@@ -63,8 +56,8 @@ def open_chosen(
             what = "this file says its" if one else "all of these files say their"
             raise ShapeError(f"--{name}: {what} {name}, so there is nothing to set")
         chosen = with_option(chosen, references, name, unit_option(value) if name == "unit" else value)
-    if skeleton is not None:
-        chosen = with_option(chosen, references, "skeleton", skeleton)
+    if reading.skeleton is not None:
+        chosen = with_option(chosen, references, "skeleton", reading.skeleton)
     given = [dict(own) for own in chosen.reading]
     # An AMC file, which holds no skeleton, takes the one that is named beside it.
     skeletons = [r for r in references if Path(r).suffix.lower() == ".asf"]
@@ -74,6 +67,29 @@ def open_chosen(
     return [open_scene(reference, **own) for reference, own in zip(references, given, strict=True)]
 
 
+def body_of(scene: Scene, reference: str) -> Character:
+    """The first character.
+
+    Raises:
+        FormatError: where there is none.
+    """
+    if not scene.characters:
+        raise FormatError("it has no skeleton", path=reference)
+    return scene.character
+
+
+def animation_of(scene: Scene, reference: str, clip: str | None = None) -> Motion | Clip:
+    """The first animation, or the one of that name.
+
+    Raises:
+        FormatError: where there is none.
+        UnknownName: for a clip that does not exist.
+    """
+    if not scene.animations:
+        raise FormatError("it has no motion", path=reference)
+    return scene.animations[0] if clip is None else scene.animation(clip)
+
+
 def motion_of(scene: Scene, reference: str, clip: str | None = None, rate_hz: float | None = None) -> Motion:
     """The first animation of the first character, or the one of that name, as a motion of its skeleton.
 
@@ -81,23 +97,26 @@ def motion_of(scene: Scene, reference: str, clip: str | None = None, rate_hz: fl
         FormatError: where there is none.
         UnknownName: for a clip that does not exist.
     """
-    from keypose.evaluate import match, resample
-
     if not scene.characters or not scene.animations:
         raise FormatError("it has no motion of a skeleton", path=reference)
-    animation = scene.animations[0] if clip is None else scene.animation(clip)
-    body = scene.character.skeleton
+    return in_frames(animation_of(scene, reference, clip), scene.character.skeleton, rate_hz)
+
+
+def in_frames(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | None = None) -> Motion:
+    """An animation as a motion of a skeleton; clips at the rate that is asked for, else at that of `frame_rate`."""
+    from keypose.evaluate import bake, match, resample
+
     if isinstance(animation, Clip):
-        return baked(animation, body, rate_hz)
-    motion = match(animation, body)
+        return bake(animation, skeleton, rate_hz or frame_rate(animation))
+    motion = match(animation, skeleton)
     return motion if rate_hz is None else resample(motion, rate_hz)
 
 
-def baked(clip: Clip, skeleton: Skeleton, rate_hz: float | None = None) -> Motion:
-    """A clip in frames: at the rate that is asked for, else its own, else that of its keys."""
-    from keypose.evaluate import bake, key_rate
+def frame_rate(clip: Clip) -> float:
+    """By which frames of a clip count: its own rate, else that of its keys, else that of film on a screen, in Hz."""
+    from keypose.evaluate import key_rate
 
-    return bake(clip, skeleton, rate_hz or clip.rate_hz or key_rate(clip) or _FILM_HZ)
+    return clip.rate_hz or key_rate(clip) or _FILM_HZ
 
 
 def read_roles(path: Path, skeleton: Skeleton) -> RoleMap:
@@ -110,13 +129,10 @@ def read_roles(path: Path, skeleton: Skeleton) -> RoleMap:
 
     try:
         return roles_from_json(path.read_text(encoding="utf-8"), skeleton)
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(getattr(error, "strerror", None) or "it is no text", path=path) from None
-
-
-def file_word(count: int, word: str, plural: str | None = None) -> str:
-    """``1 clip``, ``3 clips``."""
-    return f"{count:,} {word if count == 1 else plural or word + 's'}"
+    except UnicodeDecodeError:
+        raise FormatError("it is no text", path=path) from None
+    except KeyposeError as error:
+        raise FormatError(str(error), path=path) from None
 
 
 def unit_option(text: str) -> str | float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from keypose.cli.console import console, progress_bar
+from keypose.cli.console import console, counted, progress_bar
 from keypose.errors import FormatError
-from keypose.model import Scene
+from keypose.model import Motion, Scene
 
 _DRAWN = (".png", ".gif", ".mp4", ".webm")
 
@@ -64,6 +66,21 @@ def print_written(output: Path, facts: str = "", notes: Iterable[str] = (), line
         out.print(f"  [yellow]note[/yellow] {escape(note)}")
     for line in lines:
         out.print(f"  {escape(line)}")
+
+
+def motion_words(motion: Motion) -> str:
+    """``125 frames at 60 Hz``."""
+    return f"{counted(motion.frame_count, 'frame')} at {motion.rate_hz:g} Hz"
+
+
+def motion_facts(output: Path, motion: Motion) -> dict[str, Any]:
+    """The file that was written, and the frames in it, for programs."""
+    return {"file": str(output), "frames": motion.frame_count, "rate_hz": motion.rate_hz}
+
+
+def print_json(facts: Mapping[str, Any]) -> None:
+    """One object for programs."""
+    print(json.dumps(facts, indent=1, ensure_ascii=False))
 
 
 def _is_drawn(output: Path) -> bool:

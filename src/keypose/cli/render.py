@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from keypose.cli.console import console, progress_bar
+from keypose.cli.console import progress_bar
 from keypose.cli.convert import combine
-from keypose.cli.inputs import open_inputs
+from keypose.cli.inputs import Reading, open_inputs
+from keypose.cli.output import print_written
 
 
 def render_files(
@@ -23,11 +24,9 @@ def render_files(
     turntable: bool,
     sheet: int,
     bones: bool,
-    skeleton: str | None,
     theme: str,
     backend: str,
-    unit: str | None,
-    up: str | None,
+    reading: Reading,
     quiet: bool,
 ) -> None:
     """Draw the inputs into one file, chosen by its suffix."""
@@ -45,7 +44,7 @@ def render_files(
         backend=backend,
         sheet_frames=sheet or 12,
     )
-    scene = combine(inputs, open_inputs(inputs, unit=unit, up=up, skeleton=skeleton))
+    scene = combine(inputs, open_inputs(inputs, reading))
     with progress_bar(f"drawing {output.name}", quiet=quiet) as progress:
         notes = render_file(
             scene,
@@ -57,11 +56,5 @@ def render_files(
             turntable=turntable,
             progress=progress,
         )
-    if quiet:
-        return
-    from rich.markup import escape
-
-    out = console()
-    out.print(f"[green]wrote[/green] {escape(str(output))} [dim]({output.stat().st_size:,} bytes)[/dim]")
-    for note in (*scene.notes, *(notes or ())):
-        out.print(f"  [yellow]note[/yellow] {escape(note)}")
+    if not quiet:
+        print_written(output, notes=(*scene.notes, *(notes or ())))

@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from keypose.cli.console import console, progress_bar
-from keypose.cli.inputs import baked, file_word, open_input, read_roles
-from keypose.cli.output import check_output, print_written
+from keypose.cli.console import console, counted, progress_bar
+from keypose.cli.inputs import AS_THEY_SAY, Reading, animation_of, body_of, in_frames, open_input, read_roles
+from keypose.cli.output import check_output, print_json, print_written
 from keypose.errors import FormatError
-from keypose.model import Character, Clip, Document, Rig, Scene, module_joints
+from keypose.model import Character, Document, Rig, Scene, module_joints
 
 if TYPE_CHECKING:
     from keypose.rig import RigFit
@@ -24,13 +24,13 @@ def rig_file(
     clip: str | None,
     rate_hz: float | None,
     roles: Path | None,
-    as_json: bool,
-    unit: str | None,
-    up: str | None,
-    skeleton: str | None,
-    quiet: bool,
+    reading: Reading = AS_THEY_SAY,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Rig a character and list its controls, or write both as a project.
+
+    Of ``reading``, the unit and the up axis are about the character's file, skeleton and options about the motion's.
 
     Raises:
         FormatError: where an input has no skeleton or no motion, or the output is no project.
@@ -42,10 +42,8 @@ def rig_file(
         if output.suffix.lower() != ".keypose":
             raise FormatError("expected a name that ends with .keypose: only a project keeps a rig", path=output)
         check_output(output, [character, motion])
-    cast = open_input(character, unit=unit, up=up)
-    if not cast.characters:
-        raise FormatError("it has no skeleton", path=character)
-    who = cast.character
+    cast = open_input(character, Reading(unit=reading.unit, up=reading.up))
+    who = body_of(cast, character)
     who = replace(who, name=who.name or Path(character.removeprefix("sample:")).stem)
     rig = auto_rig(who.skeleton, None if roles is None else read_roles(roles, who.skeleton), character=who)
     if as_json:
@@ -56,7 +54,8 @@ def rig_file(
         return
     fit, notes = None, tuple[str, ...]()
     if motion is not None:
-        fit, notes = _fitted(rig, who, motion, clip, rate_hz, skeleton, quiet or as_json)
+        taken = Reading(skeleton=reading.skeleton, options=reading.options)
+        fit, notes = _fitted(rig, who, motion, clip, rate_hz, taken, quiet or as_json)
     _save(rig, who, cast, fit, output)
     if not (quiet or as_json):
         _report(rig, fit, notes, output)
@@ -68,18 +67,16 @@ def _fitted(
     motion: str,
     clip: str | None,
     rate_hz: float | None,
-    skeleton: str | None,
+    reading: Reading,
     quiet: bool,
 ) -> tuple[RigFit, tuple[str, ...]]:
     """A motion on the controls; one of another skeleton is retargeted first."""
-    from keypose import evaluate
+    from keypose.evaluate import match_report
     from keypose.rig import fit_controls
 
-    performed = open_input(motion, skeleton=skeleton)
-    if not performed.animations:
-        raise FormatError("it has no motion", path=motion)
-    animation = performed.animations[0] if clip is None else performed.animation(clip)
-    own = set(evaluate.match_report(animation, who.skeleton).sources)
+    performed = open_input(motion, reading)
+    animation = animation_of(performed, motion, clip)
+    own = set(match_report(animation, who.skeleton).sources)
     moved = {j for module in rig.modules for j in module_joints(module)}
     notes: tuple[str, ...] = ()
     if len(own & moved) < 0.5 * len(moved) and performed.characters:
@@ -89,10 +86,8 @@ def _fitted(
             done = retarget(animation, performed.character.skeleton, who.skeleton, rate_hz=rate_hz, progress=progress)
         notes = ("its joints have other names; it was retargeted", *done.notes)
         frames = replace(done.motion, name=animation.name)
-    elif isinstance(animation, Clip):
-        frames = baked(animation, who.skeleton, rate_hz)
     else:
-        frames = animation if rate_hz is None else evaluate.resample(animation, rate_hz)
+        frames = in_frames(animation, who.skeleton, rate_hz)
     frames = replace(frames, name=frames.name or Path(motion).stem)
     with progress_bar("fitting controls", quiet=quiet) as progress:
         return fit_controls(rig, who.skeleton, frames, progress=progress), notes
@@ -129,10 +124,10 @@ def _report(rig: Rig, fit: RigFit | None, notes: tuple[str, ...], output: Path) 
     if fit is not None:
         frames = len(fit.control_pose.rotations)
         lines.append(
-            f"{file_word(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
+            f"{counted(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
             f"{fit.error_deg:.2g} degrees; all FK {1e3 * fit.fk_error_m:.3g} mm, all IK {1e3 * fit.ik_error_m:.3g} mm"
         )
-    facts = f"{file_word(rig.controls.joint_count, 'control')}, {file_word(len(rig.attributes), 'attribute')}"
+    facts = f"{counted(rig.controls.joint_count, 'control')}, {counted(len(rig.attributes), 'attribute')}"
     print_written(output, facts, notes, lines)
 
 
@@ -155,14 +150,12 @@ def _print_controls(rig: Rig) -> None:
     out.print(table)
     moved = len(rig.joints)
     out.print(
-        f"[dim]{file_word(rig.controls.joint_count, 'control')} and {file_word(len(rig.attributes), 'attribute')} move "
-        f"{file_word(moved, 'joint')}[/dim]"
+        f"[dim]{counted(rig.controls.joint_count, 'control')} and {counted(len(rig.attributes), 'attribute')} move "
+        f"{counted(moved, 'joint')}[/dim]"
     )
 
 
 def _print_json(rig: Rig) -> None:
-    import json
-
     from keypose.io.native_rigs import rig_json
 
-    print(json.dumps(rig_json(rig, lambda array: array.tolist()), indent=1))
+    print_json(rig_json(rig, lambda array: array.tolist()))

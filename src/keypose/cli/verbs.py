@@ -8,7 +8,21 @@ from typing import Annotated
 
 import typer
 
-from keypose.cli.arguments import ClipOption, FormatOptions, OneInput, SkeletonFile, UnitOption, UpOption, examples
+from keypose.cli.arguments import (
+    ClipOption,
+    FormatOptions,
+    JsonOption,
+    MotionInput,
+    OneInput,
+    QuietOption,
+    RateOption,
+    RolesOption,
+    SceneOutput,
+    SkeletonFile,
+    UnitOption,
+    UpOption,
+    examples,
+)
 
 verbs = typer.Typer()
 
@@ -23,12 +37,8 @@ verbs = typer.Typer()
     )
 )
 def edit(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
+    motion: MotionInput,
+    output: SceneOutput,
     reach: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,15 +72,17 @@ def edit(
         str | None, typer.Option("--speed", metavar="SPEED", help="A factor such as 1.5, or a speed such as 1.2m/s.")
     ] = None,
     clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    rate: RateOption = None,
     skeleton: SkeletonFile = None,
     option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Edit a motion by constraints: its speed, then its path, then poses, then places to reach; frames are the result's."""
     from keypose.cli.edit import Edits, edit_file
+    from keypose.cli.inputs import Reading
 
     edits = Edits(reach or (), turn or (), keep or (), ease, whole_body, spacetime, bend, loop, follow, stride, speed)
     edit_file(
@@ -79,10 +91,8 @@ def edit(
         edits,
         clip=clip,
         rate_hz=rate,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
-        options=option or (),
+        reading=Reading(unit, up, skeleton, option or ()),
+        as_json=json,
         quiet=quiet,
     )
 
@@ -104,12 +114,8 @@ class HipsChoice(StrEnum):
     )
 )
 def clean(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
+    motion: MotionInput,
+    output: SceneOutput,
     clip: ClipOption = None,
     ground: Annotated[
         str, typer.Option("--ground", help="auto, flat, slope, steps, or the height under the soles in metres.")
@@ -132,18 +138,18 @@ def clean(
     events: Annotated[
         bool, typer.Option("--events", help="Write contacts as events of the motion (.npz): left_ball.down ...")
     ] = False,
-    roles: Annotated[
-        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
-    ] = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    roles: RolesOption = None,
+    rate: RateOption = None,
     skeleton: SkeletonFile = None,
     option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Hold feet still where they touch the ground, without a jump of a knee; a second time it changes nothing."""
     from keypose.cli.clean import clean_file
+    from keypose.cli.inputs import Reading
 
     clean_file(
         motion,
@@ -158,10 +164,8 @@ def clean(
         events=events,
         roles=roles,
         rate_hz=rate,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
-        options=option or (),
+        reading=Reading(unit, up, skeleton, option or ()),
+        as_json=json,
         quiet=quiet,
     )
 
@@ -174,15 +178,11 @@ def clean(
     )
 )
 def retarget(
-    motion: Annotated[
-        str, typer.Argument(metavar="MOTION", help="A file with a motion, or sample:NAME.", show_default=False)
-    ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
+    motion: MotionInput,
+    output: SceneOutput,
     to: Annotated[str, typer.Option("--to", metavar="CHARACTER", help="Who is to move.", show_default=False)],
     clip: ClipOption = None,
-    rate: Annotated[float | None, typer.Option("--rate", help="Frames per second of the output.", min=0.001)] = None,
+    rate: RateOption = None,
     scale: Annotated[
         float | None, typer.Option("--scale", help="Length of the way; by leg length if not given.", min=0.001)
     ] = None,
@@ -217,31 +217,25 @@ def retarget(
     option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Put a motion on another character, feet planted, and print how well it fits."""
-    from keypose.cli.retarget import retarget_file
+    from keypose.cli.inputs import Reading
+    from keypose.cli.retarget import RetargetAsked, retarget_file
 
+    references, maps = (source_reference, target_reference), (from_roles, to_roles)
+    asked = RetargetAsked(scale, not no_plant, *maps, *references, keep_hands, prop or (), against)
     retarget_file(
         motion,
         to,
         output,
+        asked,
         clip=clip,
         rate_hz=rate,
-        scale=scale,
-        plant=not no_plant,
-        source_roles=from_roles,
-        target_roles=to_roles,
-        unit=unit,
-        up=up,
+        reading=Reading(unit, up, skeleton, option or ()),
+        as_json=json,
         quiet=quiet,
-        source_reference=source_reference,
-        target_reference=target_reference,
-        hands=keep_hands,
-        props=prop or (),
-        against=against,
-        skeleton=skeleton,
-        options=option or (),
     )
 
 
@@ -266,22 +260,24 @@ def rig(
     ] = None,
     clip: ClipOption = None,
     rate: Annotated[float | None, typer.Option("--rate", help="Keys per second of the motion.", min=0.001)] = None,
-    roles: Annotated[
-        Path | None, typer.Option("--roles", metavar="MAP", help="Roles of the joints (keypose roles).")
-    ] = None,
+    roles: RolesOption = None,
     skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the rig as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
+    from keypose.cli.inputs import Reading
     from keypose.cli.rig import rig_file
 
     if motion is None:
-        for name, given in (("--rate", rate), ("--clip", clip)):
+        for name, given in (("--rate", rate), ("--clip", clip), ("--skeleton", skeleton), ("--option", option)):
             if given is not None:
                 raise typer.BadParameter("goes with a --motion", param_hint=name)
+    elif output is None:
+        raise typer.BadParameter("goes with an OUT, which keeps its keys", param_hint="--motion")
 
     rig_file(
         character,
@@ -290,10 +286,8 @@ def rig(
         clip=clip,
         rate_hz=rate,
         roles=roles,
+        reading=Reading(unit, up, skeleton, option or ()),
         as_json=json,
-        unit=unit,
-        up=up,
-        skeleton=skeleton,
         quiet=quiet,
     )
 
@@ -306,15 +300,17 @@ def roles(
     output: Annotated[
         Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
     skeleton: SkeletonFile = None,
+    option: FormatOptions = None,
     unit: UnitOption = None,
     up: UpOption = None,
 ) -> None:
     """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
-    from keypose.cli.retarget import print_roles
+    from keypose.cli.inputs import Reading
+    from keypose.cli.roles import print_roles
 
-    if not print_roles(file, output, as_json=json, unit=unit, up=up, skeleton=skeleton):
+    if not print_roles(file, output, reading=Reading(unit, up, skeleton, option or ()), as_json=json):
         raise typer.Exit(1)
 
 
@@ -330,9 +326,7 @@ def skin(
     mesh: Annotated[
         str, typer.Argument(metavar="MESH", help="A file with a mesh, or sample:NAME.", show_default=False)
     ],
-    output: Annotated[
-        Path, typer.Argument(metavar="OUT", help="The file to write, or a picture or film.", show_default=False)
-    ],
+    output: SceneOutput,
     skeleton: Annotated[
         str | None,
         typer.Option("--skeleton", metavar="FILE", help="Whose skeleton and motions; the mesh's own if not given."),
@@ -350,13 +344,14 @@ def skin(
         bool, typer.Option("--dual-quaternion", help="Blend with dual quaternions, which keep volume in twists.")
     ] = False,
     clip: Annotated[str | None, typer.Option("--clip", help="Name of the animation to keep; all if not given.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the figures as one JSON object.")] = False,
+    json: JsonOption = False,
     unit: UnitOption = None,
     up: UpOption = None,
     option: FormatOptions = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Bind a mesh to a skeleton with automatic weights, and print how they came about."""
+    from keypose.cli.inputs import Reading
     from keypose.cli.weights import skin_file
 
     skin_file(
@@ -368,9 +363,7 @@ def skin(
         strength=strength,
         dual_quaternion=dual_quaternion,
         clip=clip,
+        reading=Reading(unit, up, options=option or ()),
         as_json=json,
-        unit=unit,
-        up=up,
-        options=option or (),
         quiet=quiet,
     )

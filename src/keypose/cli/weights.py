@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from keypose.cli.console import progress_bar
-from keypose.cli.inputs import file_word, open_input
-from keypose.cli.output import check_output, print_written, write_scene
+from keypose.cli.console import counted, progress_bar
+from keypose.cli.inputs import AS_THEY_SAY, Reading, body_of, open_input
+from keypose.cli.output import check_output, print_json, print_written, write_scene
 from keypose.errors import FormatError
 from keypose.model import Scene
 
@@ -24,11 +23,9 @@ def skin_file(
     strength: float,
     dual_quaternion: bool,
     clip: str | None,
-    as_json: bool,
-    unit: str | None,
-    up: str | None,
-    options: Sequence[str],
-    quiet: bool,
+    reading: Reading = AS_THEY_SAY,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Bind the meshes of a file and write them with skeleton and motions.
 
@@ -45,15 +42,13 @@ def skin_file(
     if held is not None and output.suffix.lower() not in held.skins:
         known = " ".join(suffix for entry in formats() for suffix in entry.skins)
         raise FormatError(f"a {output.suffix} file holds no weights; those that do: {known}", path=output)
-    shape = open_input(mesh, unit=unit, up=up, options=options)
+    shape = open_input(mesh, reading)
     bodies = [c for c in shape.characters if c.parts]
     if not bodies:
         raise FormatError("it has no mesh", path=mesh)
     cast = shape if skeleton is None else open_input(skeleton)
-    if not cast.characters:
-        raise FormatError("it has no skeleton", path=skeleton or mesh)
     body = bodies[0]
-    own = body if skeleton is None else cast.character
+    own = body if skeleton is None else body_of(cast, skeleton)
     with progress_bar("spreading heat", quiet=quiet or as_json) as progress:
         bound, report = skin_character(
             body,
@@ -68,7 +63,7 @@ def skin_file(
     scene = Scene((replace(bound, roles=own.roles),), animations, unit_m=shape.unit_m)
     notes = [*report.notes, *write_scene(scene, output, quiet=quiet or as_json)]
     if as_json:
-        print(json.dumps({**asdict(report), "notes": notes}, indent=1))
+        print_json({**asdict(report), "notes": notes})
     elif not quiet:
-        facts = f"{file_word(bound.vertex_count, 'vertex', 'vertices')}, {file_word(own.skeleton.joint_count, 'joint')}"
+        facts = f"{counted(bound.vertex_count, 'vertex', 'vertices')}, {counted(own.skeleton.joint_count, 'joint')}"
         print_written(output, facts, notes, report.lines())
