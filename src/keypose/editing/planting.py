@@ -18,7 +18,8 @@ from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
-from keypose.editing.planting_legs import bend_leg, find_leg, hips_path, knee_angles, reached_angles
+from keypose.editing.planting_hips import hips_path
+from keypose.editing.planting_legs import LEG_M, bend_leg, find_leg, knee_angles
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -29,10 +30,10 @@ Touching = Mapping[str, np.ndarray]
 Progress = Callable[[int, int], None]
 HipsMode = Literal["free", "upright", "still"]
 
-_LEG_M = 0.85
 _ROUNDS = 24  # of planting and looking again; almost always two or three are enough
 _SINK_M, _SINK_KNOWN_M = 0.01, 0.0005  # how far feet in the air may go under a ground that is guessed, or known
 _KNEE_LIMIT = 1.4  # times the largest angular acceleration of a knee that there was
+_LEAST_KNEE_LIMIT = 14.0  # radians a second squared; what is less nobody sees
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +121,7 @@ def plant_feet(
     # contacts that are given are planted once, others twice and looked at a third time, as a rule
     steps = _Steps(progress, 5 if touching is not None else 14)
     before = _Body(motion, skeleton, roles, steps)
-    cycle = find_cycle(motion, skeleton, before.turned, before.places) if options.loop else None
+    cycle = find_cycle(motion, skeleton, before.turned, before.places, before.size) if options.loop else None
     if options.loop and (cycle is None or touching is not None):
         why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
         raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: {why}")
@@ -144,7 +145,7 @@ def _planted_once(
         return before.planted(replace(footing, touching=flags), options, heights)
     result = before.planted(footing, options, heights)
     for _ in range(_ROUNDS):
-        after = _Body(result.motion, before.skeleton, before.roles, before.steps)
+        after = _Body(result.motion, before.skeleton, before.roles, before.steps, before)
         again = after.look(options, heights)
         if not any(path.moves for path in after.paths(again, options, heights)):
             return replace(result, footing=again, settled=True)
@@ -166,7 +167,8 @@ def _planted_round(body: _Body, cycle: Cycle, heights: Floats | None, options: P
     moved, away, short, made = np.zeros(motion.frame_count), np.zeros(motion.frame_count), 0.0, motion
     rounds = _ROUNDS
     while True:
-        long = _planted_once(_Body(unroll(made, skeleton, cycle), skeleton, roles, body.steps), None, heights, options)
+        rounds_of_it = _Body(unroll(made, skeleton, cycle), skeleton, roles, body.steps, body)
+        long = _planted_once(rounds_of_it, None, heights, options)
         footing = replace(
             long.footing,
             points={p: track[middle] for p, track in long.footing.points.items()},
@@ -219,9 +221,16 @@ class _Steps:
 
 
 class _Body:
-    """A motion's legs in the model's space."""
+    """A motion's legs in the model's space; ``source`` is what it was made from, whose knees say what knees may do."""
 
-    def __init__(self, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], steps: _Steps) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        skeleton: Skeleton,
+        roles: Mapping[str, int],
+        steps: _Steps,
+        source: _Body | None = None,
+    ) -> None:
         self.motion, self.skeleton, self.roles, self.steps = motion, skeleton, roles, steps
         pose = motion.pose.broadcast()
         exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
@@ -230,7 +239,9 @@ class _Body:
         finite(self.places, "places of the motion's joints")
         self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
         self.leg_m = float(self.legs[0].length[0])
-        self.size = self.leg_m / _LEG_M
+        self.size = self.leg_m / LEG_M
+        own = max(_peak(knee_angles(leg), motion.rate_hz) for leg in self.legs)
+        self.knee_peak: float = own if source is None else source.knee_peak
 
     def look(self, options: PlantOptions, heights: Floats | None) -> Footing:
         """Where feet stand."""
@@ -285,7 +296,8 @@ class _Body:
             return PlantResult(self.motion, footing.touching, footing, none, none, 0.0, 1.0, True)
         hips = np.zeros((frames, 3))
         if options.hips != "still":
-            hips = self._hips(paths, options.hips == "upright")
+            limit = max(_KNEE_LIMIT * self.knee_peak, _LEAST_KNEE_LIMIT)
+            hips = hips_path(self.legs, paths, self.motion.rate_hz, options.hips == "upright", limit)
         self.steps.take()
         rotations = np.array(self.pose.rotations)
         short = 0.0
@@ -313,29 +325,6 @@ class _Body:
         moved = np.max([np.linalg.norm(path.shift, axis=-1) for path in paths], axis=0)
         away = np.linalg.norm(hips, axis=-1)
         return PlantResult(result, footing.touching, footing, moved, away, short, 1.0, False)
-
-    def _hips(self, paths: list[FootPath], upright: bool) -> Floats:
-        """The hips' path; with more care for knees around frames in which one would jump."""
-        rate = self.motion.rate_hz
-        hips = hips_path(self.legs, paths, rate, upright)
-        peak = max(_peak(knee_angles(leg), rate) for leg in self.legs)
-        care = np.ones(self.motion.frame_count)
-        best, least = hips, np.inf
-        for _ in range(6):
-            over = np.zeros(len(care))
-            for leg, path in zip(self.legs, paths, strict=True):
-                angles = reached_angles(leg, np.linalg.norm(leg.ankle + path.shift - leg.hip - hips, axis=-1))
-                over[1:-1] = np.maximum(over[1:-1], np.abs(np.diff(angles, 2)) * rate * rate)
-            worst = float(over.max(initial=0.0))
-            if worst < least:
-                best, least = hips, worst
-            if worst <= _KNEE_LIMIT * peak:
-                break
-            # around the jumps, as far as a tenth of a second
-            near = np.convolve(over > _KNEE_LIMIT * peak, np.ones(2 * round(0.1 * rate) + 1), "same") > 0
-            care = np.where(near, 4.0 * care, care)
-            hips = hips_path(self.legs, paths, rate, upright, care)
-        return best
 
     def _carrier(self) -> int:
         """The joint that moves both legs: the hips, or what is above both."""
@@ -367,8 +356,8 @@ class _Body:
         exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
         turned, places = (np.asarray(a) for a in world_rotations_positions(self.skeleton, exact))
         legs = [find_leg(side, self.roles, self.skeleton, turned, places) for side in SIDES]
-        peaks = [max(_peak(knee_angles(leg), motion.rate_hz) for leg in group) for group in (self.legs, legs)]
-        return peaks[1] / peaks[0] if peaks[0] > 1e-9 else 1.0
+        peak = max(_peak(knee_angles(leg), motion.rate_hz) for leg in legs)
+        return peak / self.knee_peak if self.knee_peak > 1e-9 else 1.0
 
 
 def _peak(angles: Floats, rate_hz: float) -> float:

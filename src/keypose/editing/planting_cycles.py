@@ -11,7 +11,7 @@ from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Motion, Pose, Skeleton
 
-# What is nearer than this closes a cycle.
+# What is nearer than this closes a cycle, for a leg of LEG_M.
 _CLOSED_M, _CLOSED_RAD = 1e-4, 1e-3
 
 
@@ -27,13 +27,15 @@ class Cycle:
     shift: Floats
 
 
-def find_cycle(motion: Motion, skeleton: Skeleton, turned: Floats, places: Floats) -> Cycle | None:
+def find_cycle(motion: Motion, skeleton: Skeleton, turned: Floats, places: Floats, size: float) -> Cycle | None:
     """How a motion repeats itself, None where its last frame is not its first.
 
-    Shapes and units: ``turned`` (T, J, 4) and ``places`` (T, J, 3) of the motion in the model's space.
+    Shapes and units: ``turned`` (T, J, 4) and ``places`` (T, J, 3) of the motion in the model's space; ``size`` of its legs by
+    `LEG_M`.
     """
     if motion.frame_count < 4:
         return None
+    closed = _CLOSED_M * size
     pose = motion.pose.broadcast()
     first, last = pose[0], pose[-1]
     apart = np.linalg.norm(
@@ -42,7 +44,7 @@ def find_cycle(motion: Motion, skeleton: Skeleton, turned: Floats, places: Float
     angle = np.asarray(
         quat.angle_between(np.asarray(first.rotations, np.float64), np.asarray(last.rotations, np.float64))
     )
-    movers = np.flatnonzero((apart > _CLOSED_M) | (angle > _CLOSED_RAD))
+    movers = np.flatnonzero((apart > closed) | (angle > _CLOSED_RAD))
     if len(movers) > 1 or not np.allclose(first.scales, last.scales, atol=1e-5):
         return None
     if not len(movers):
@@ -57,13 +59,11 @@ def find_cycle(motion: Motion, skeleton: Skeleton, turned: Floats, places: Float
     hangs = np.zeros(skeleton.joint_count, bool)
     for j, parent in enumerate(skeleton.parents):
         hangs[j] = j == joint or (parent >= 0 and hangs[parent])
-    still = np.ptp(places[:, ~hangs], axis=0).max(initial=0.0) < _CLOSED_M
+    still = np.ptp(places[:, ~hangs], axis=0).max(initial=0.0) < closed
     change = quat.multiply(turned[-1, joint], quat.conjugate(turned[0, joint]))
     tilt, turn = quat.swing_twist(change, np.array([0.0, 1.0, 0.0]))
     shift = places[-1, joint] - quat.rotate(turn, places[0, joint])
-    level = (
-        float(np.linalg.norm(quat.to_rotation_vector(quat.shortest(tilt)))) < _CLOSED_RAD and abs(shift[1]) < _CLOSED_M
-    )
+    level = float(np.linalg.norm(quat.to_rotation_vector(quat.shortest(tilt)))) < _CLOSED_RAD and abs(shift[1]) < closed
     return Cycle(joint, turn, shift * np.array([1.0, 0.0, 1.0])) if still and level else None
 
 
