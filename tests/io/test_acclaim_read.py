@@ -287,7 +287,7 @@ def test_finding_the_skeleton(take: Path) -> None:
 
 
 def test_a_skeleton_beside_it_in_a_command(take: Path, tmp_path: Path) -> None:
-    from keypose.cli.inputs import open_inputs
+    from keypose.cli.inputs import Reading, open_inputs
 
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -295,7 +295,7 @@ def test_a_skeleton_beside_it_in_a_command(take: Path, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="--skeleton"):
         open_inputs([str(take)])
     for order in ([str(take), skeleton], [skeleton, str(take)]):
-        scenes = open_inputs(order, unit="cm")
+        scenes = open_inputs(order, Reading(unit="cm"))
         taken = scenes[order.index(str(take))]
         assert motion_of(taken).frame_count == 3 and taken.unit_m == 0.01
 
