@@ -10,26 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from keypose.arrays import Array, Floats, as_float, checked
+from keypose.arrays import Floats, as_float, checked
 from keypose.errors import ShapeError
 from keypose.evaluate.compiled import kernels_for
-from keypose.ik import fullbody_dense as dense
+from keypose.ik.fullbody_alone import SolverOfOne, make_solver_of_one
 from keypose.ik.fullbody_dense import State
+from keypose.ik.fullbody_plan import Plan, Targets, is_plain, make_plan
 from keypose.ik.fullbody_problem import (
     Problem,
     RootMotion,
     RootPolicy,
     batch_of,
-    fields_of,
-    least_damping,
     make_problem,
     rotation_above,
     target_of,
     with_target,
 )
-from keypose.ik.fullbody_result import IkResult, SolveOptions, TaskResidual
+from keypose.ik.fullbody_result import IkResult, SolveOptions
 from keypose.ik.fullbody_run import TYPICAL_STEPS, restart, result_of, solve_in_order, solve_problem
-from keypose.ik.fullbody_tables import Tables, is_compiled, make_tables, run_rows
+from keypose.ik.fullbody_tables import run_rows
 from keypose.ik.limits import JointLimit
 from keypose.ik.tasks import Joint, OrientationTask, PosePrior, Smoothness, Task
 from keypose.kernels import fullbodytables as columns
@@ -37,8 +36,6 @@ from keypose.math import quat
 from keypose.model import Pose, Skeleton
 
 _BLOCK = 512  # rows that stay in the processor's cache
-
-Targets = Mapping[Task, Any] | Sequence[Any]
 
 
 def solve_pose(
@@ -96,32 +93,8 @@ def prepare_solver(
     solver = _prepare(skeleton, tasks, limits, fixed, locked, root, options)
     if solver.plan is None:
         return solver
-    return replace(solver, kernels=importlib.import_module("keypose.kernels.fullbody"))
-
-
-@dataclass(frozen=True, slots=True)
-class _Field:
-    """A part of a task in its rows: which task, its name, the first column, how many."""
-
-    task: int
-    name: str
-    at: int
-    width: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """The tables of one pose, and where in its row the parts go that differ from pose to pose.
-
-    ``targets``: of each task, if it has one; ``varying``: parts of tasks with a batch of their own, and these;
-    ``from_start``: joints whose rotation at the start is wanted at a column.
-    """
-
-    problem: Problem
-    tables: Tables
-    targets: tuple[_Field | None, ...]
-    varying: tuple[tuple[_Field, Floats], ...]
-    from_start: tuple[tuple[int, int], ...]
+    kernels = importlib.import_module("keypose.kernels.fullbody")
+    return replace(solver, kernels=kernels, alone=make_solver_of_one(solver.plan, solver.options))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +108,9 @@ class PoseSolver:
     locked: Mapping[str, str]
     root: RootMotion
     options: SolveOptions
-    plan: _Plan | None = None
+    plan: Plan | None = None
     kernels: Any = None
+    alone: SolverOfOne | None = None
 
     def solve(self, pose: Pose | None = None, targets: Targets | None = None) -> IkResult:
         """Solve the tasks from a pose (the rest pose if not given) for their targets, or for others.
@@ -148,9 +122,12 @@ class PoseSolver:
         Raises:
             ShapeError: where shapes, numbers or scales make no sense, or a task has no target.
         """
+        found = None if self.alone is None else self.alone.solve(pose, targets)
+        if found is not None:
+            return found
         given = {} if targets is None else self._given(targets)
         plan, start = self.plan, self.skeleton.rest if pose is None else pose
-        if plan is not None and _is_plain(start, self.skeleton):
+        if plan is not None and is_plain(start, self.skeleton):
             batch = self._batch(plan, start, given)
             work = math.prod(batch) * self.skeleton.joint_count * min(self.options.iterations, TYPICAL_STEPS)
             kernels = self.kernels or kernels_for("fullbody", work, plan.problem.start)
@@ -201,7 +178,7 @@ class PoseSolver:
             found[n] = array
         return found
 
-    def _batch(self, plan: _Plan, pose: Pose, given: Mapping[int, Floats]) -> tuple[int, ...]:
+    def _batch(self, plan: Plan, pose: Pose, given: Mapping[int, Floats]) -> tuple[int, ...]:
         shapes = [pose.batch_shape]
         for field, array in plan.varying:
             if not (field == plan.targets[field.task] and field.task in given):
@@ -223,7 +200,7 @@ class PoseSolver:
             return batch_of(pose, self.tasks)  # which says whose shape it is
 
     def _solve_rows(
-        self, plan: _Plan, kernels: Any, pose: Pose | None, batch: tuple[int, ...], given: Mapping[int, Floats]
+        self, plan: Plan, kernels: Any, pose: Pose | None, batch: tuple[int, ...], given: Mapping[int, Floats]
     ) -> IkResult:
         """The way of poses without scales: rows filled, solved and read, block by block."""
         tables, options, count = plan.tables, self.options, math.prod(batch)
@@ -297,7 +274,7 @@ class PoseSolver:
         return result_of(problem, start, batch, there)
 
     def _read(
-        self, plan: _Plan, pose: Pose | None, batch: tuple[int, ...], start: Floats, rotations: Floats, kept: Floats
+        self, plan: Plan, pose: Pose | None, batch: tuple[int, ...], start: Floats, rotations: Floats, kept: Floats
     ) -> IkResult:
         """The values of a result."""
         begun = self.skeleton.rest if pose is None else pose
@@ -322,31 +299,11 @@ class PoseSolver:
         state = kept[:, 3:].T
         miss, done = state[columns.MISS], state[columns.DONE]
         outcome = np.where(miss <= 1.0, 0, np.where(done != 0.0, 1, 2))
-        residuals = self._residuals(plan, batch, state[columns.STATES :])
+        residuals = plan.residuals(batch, state[columns.STATES :])
         return IkResult(
             Pose(bones, rotations, begun.scales), residuals, state[columns.COST].reshape(batch),
             state[columns.STEPS].astype(np.int64).reshape(batch), outcome.reshape(batch),
         )  # fmt: skip
-
-    def _residuals(self, plan: _Plan, batch: tuple[int, ...], left: Floats) -> tuple[TaskResidual, ...]:
-        """What is left of each task, of what is left of its entries."""
-        metres: list[Array | None] = [None] * len(self.tasks)
-        angles: list[Array | None] = [None] * len(self.tasks)
-        kinds = plan.tables.arguments[4][:: columns.TERM_COLUMNS]
-        for (task, _), kind, size in zip(plan.tables.terms, kinds.tolist(), left, strict=True):
-            sizes = metres if kind in _IN_METRES else angles
-            before = sizes[task]
-            sizes[task] = size if before is None else np.maximum(before, size)
-        for n, task in enumerate(self.tasks):
-            if isinstance(task, PosePrior) and angles[n] is None:
-                angles[n] = np.zeros(left.shape[1])
-        return tuple(
-            TaskResidual(None if a is None else a.reshape(batch), None if b is None else b.reshape(batch))
-            for a, b in zip(metres, angles, strict=True)
-        )
-
-
-_IN_METRES = (columns.POSITION, columns.CONTACT, columns.ROOT_PRIOR)
 
 
 def _prepare(
@@ -361,61 +318,5 @@ def _prepare(
     chosen = SolveOptions() if options is None else options
     motion = root if isinstance(root, RootMotion) else RootMotion(root)
     solver = PoseSolver(skeleton, tuple(tasks), limits or {}, tuple(fixed), locked or {}, motion, chosen)
-    return replace(solver, plan=_plan(solver))
-
-
-def _plan(solver: PoseSolver) -> _Plan | None:
-    """The plan of tasks that the compiled solver knows and whose rows can be filled from arrays alone."""
-    skeleton, options = solver.skeleton, solver.options
-    for task in solver.tasks:
-        if isinstance(task, Smoothness) or (isinstance(task, PosePrior) and task.pose is not None):
-            return None
-    if not solver.options.iterations or not _is_plain(skeleton.rest, skeleton):
-        return None
-    single: list[Task] = []
-    for task in solver.tasks:
-        own = {name: array for name, array, width in fields_of(task) if array.ndim > width}
-        if any(array.size == 0 for array in own.values()):
-            return None
-        first = {
-            name: array.reshape(-1, *array.shape[array.ndim - width :])[0] for name, array, width in fields_of(task)
-        }
-        single.append(replace(task, **first) if own else task)
-    problem = make_problem(skeleton, skeleton.rest, single, (), solver.limits, solver.fixed, solver.locked, solver.root)
-    problem = replace(problem, least_damping=least_damping(solver.tasks))
-    if not problem.terms or not is_compiled(problem):
-        return None
-    tables = make_tables(problem, options.tolerance_m, options.tolerance_rad, options.settled_rad, options.still_m)
-    tables.rows[:, : 4 * len(tables.joints)] = problem.start[:, tables.joints].reshape(1, -1)
-    tables.rows[:, tables.state[columns.DAMPING]] = options.damping
-    tables.rows[:, tables.state[columns.GROWTH]] = dense.GROWTH
-    return _with_places(solver, problem, tables)
-
-
-def _with_places(solver: PoseSolver, problem: Problem, tables: Tables) -> _Plan:
-    """Where in a row the targets are, and all else that differs from pose to pose."""
-    targets: list[_Field | None] = [None] * len(solver.tasks)
-    varying: list[tuple[_Field, Floats]] = []
-    follow = {one.joint for one in problem.limited if one.follows}
-    from_start = [(joint, at) for joint, at in tables.homes if joint in follow]
-    joints = tables.arguments[4][columns.T_JOINT :: columns.TERM_COLUMNS]
-    kinds = tables.arguments[4][:: columns.TERM_COLUMNS]
-    for (n, first), joint, kind in zip(tables.terms, joints.tolist(), kinds.tolist(), strict=True):
-        task, at = solver.tasks[n], first
-        if kind == columns.PRIOR and isinstance(task, PosePrior) and task.pose is None:
-            from_start.append((int(tables.joints[joint]), at))
-        for name, array, width in fields_of(task):
-            size = array.shape[-1] if width else 1
-            field = _Field(n, name, at, size)
-            if name == target_of(task):
-                targets[n] = field
-            if array.ndim > width:
-                if name == "normal" or (name == "target" and size == 4):
-                    array = array / np.linalg.norm(array, axis=-1, keepdims=True)
-                varying.append((field, array if width else array[..., None]))
-            at += size
-    return _Plan(problem, tables, tuple(targets), tuple(varying), tuple(from_start))
-
-
-def _is_plain(pose: Pose, skeleton: Skeleton) -> bool:
-    return pose.joint_count == skeleton.joint_count and bool(np.all(np.asarray(pose.scales) == 1.0))
+    plan = make_plan(skeleton, solver.tasks, solver.limits, solver.fixed, solver.locked, motion, chosen)
+    return replace(solver, plan=plan)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,8 +55,14 @@ class TaskResidual:
     angle_rad: Floats | None
 
 
+class _Unread:
+    """Room for what makes parts of a result when they are first looked at."""
+
+    __slots__ = ("_make",)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class IkResult:
+class IkResult(_Unread):
     """A pose that does what was asked as well as it can.
 
     Shapes and units: ``pose`` of batch shape (*B,); ``residuals`` one for each task; ``cost`` (*B,) half the sum of the
@@ -83,3 +91,22 @@ class IkResult:
     def reasons(self) -> Array:
         """(*B,) the outcomes in words."""
         return np.asarray(OUTCOMES)[self.outcome]
+
+    if not TYPE_CHECKING:  # to the type checker all parts are there
+
+        def __getattr__(self, name: str) -> Any:
+            """A part that was not made yet."""
+            part = object.__getattribute__(self, "_make")(name)
+            object.__setattr__(self, name, part)
+            return part
+
+
+def result_with(pose: Pose, make: Callable[[str], Any]) -> IkResult:
+    """A result whose parts but the pose are made, by their names, when they are first looked at.
+
+    What is no part's name is refused with an `AttributeError`.
+    """
+    found = object.__new__(IkResult)
+    object.__setattr__(found, "pose", pose)
+    object.__setattr__(found, "_make", make)
+    return found

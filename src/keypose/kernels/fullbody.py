@@ -50,7 +50,7 @@ from keypose.kernels.rotations import load3, load4, store3, store4
 from keypose.kernels.runtime import kernel, scratch_like
 from keypose.kernels.vectors import fill, lanes, load, pointer, pointer_alone, store
 
-_EXTRA = 36
+EXTRA = 36
 
 
 @kernel
@@ -59,7 +59,7 @@ def solve_rows(
 ):  # fmt: skip
     """Solve some rows of a flat table in place, as many at a time as a vector has lanes, for up to so many steps each."""
     n = lanes(rows)
-    memory = scratch_like(rows, (columns + count * SLOTS + _EXTRA) * n)
+    memory = scratch_like(rows, (columns + count * SLOTS + EXTRA) * n)
     _solve_blocks(
         rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
         options, memory, pointer(memory), n,
@@ -71,7 +71,7 @@ def solve_alone(
     rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options
 ):  # fmt: skip
     """The same, one row at a time: for fewer rows than a vector has lanes."""
-    memory = scratch_like(rows, columns + count * SLOTS + _EXTRA)
+    memory = scratch_like(rows, columns + count * SLOTS + EXTRA)
     _solve_blocks(
         rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
         options, memory, pointer_alone(memory), 1,
@@ -89,7 +89,7 @@ def _solve_blocks(
             at = picked[min(first + k, total - 1)] * columns
             for c in range(columns):
                 memory[c * n + k] = rows[at + c]
-        _solve_block(
+        solve_block(
             pointer(joints), count, mover, ways, pointer(terms), term_count, pointer(limits), limit_count, numbers,
             options, memory, row, n, steps, columns,
         )  # fmt: skip
@@ -103,7 +103,7 @@ def _solve_blocks(
 
 
 @kernel
-def _solve_block(
+def solve_block(
     joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options, memory, row, n, steps, columns
 ):  # fmt: skip
     q, off, shift, state = 0, 4 * count * n, 7 * count * n, (7 * count + 3) * n

@@ -156,14 +156,19 @@ exact_inlined = njit(error_model="numpy", boundscheck=False, nogil=True, fastmat
 _OF_ADDRESS = (types.int64,)
 
 
-def entry_of_address(function: Any) -> Callable[[int], Any]:
-    """The machine code of a kernel that takes one address, without Numba's look at what it is given.
+def entry_of(function: Any, given: tuple[types.Type, ...]) -> Callable[..., Any]:
+    """The machine code of a kernel for these types, without Numba's look at what it is given: the caller has looked.
 
     Numba takes longer to find out the types of a few arrays than a short kernel runs.
     """
-    if _OF_ADDRESS not in function.overloads:
-        function.compile(_OF_ADDRESS)
-    return function.overloads[_OF_ADDRESS].entry_point
+    if given not in function.overloads:
+        function.compile(given)
+    return function.overloads[given].entry_point
+
+
+def entry_of_address(function: Any) -> Callable[[int], Any]:
+    """The same of a kernel that takes one address."""
+    return entry_of(function, _OF_ADDRESS)
 
 
 # --- memory: every buffer starts on a cache line, for unaligned vectors straddle two ------------------------------------
