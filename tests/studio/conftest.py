@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from studio_page import StudioPage
+from studio_page import UNDRAWN, StudioPage
 from studio_scenes import Start, arm_scene
 
 from keypose import samples
@@ -53,8 +53,21 @@ def start() -> Iterator[Start]:
         thread.join(10)
 
 
+class Chromium:
+    """A browser whose pages draw nothing until `StudioPage.draw` asks them to."""
+
+    def __init__(self, browser: Any) -> None:
+        self.browser = browser
+
+    def new_context(self, **options: Any) -> Any:
+        """A window of its own; options as Playwright's."""
+        context = self.browser.new_context(**options)
+        context.add_init_script(UNDRAWN)
+        return context
+
+
 @pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
+def chromium() -> Iterator[Chromium]:
     """A headless Chromium, or a skip that says what is missing.
 
     For one module only: while Playwright's synchronous interface is open, no other test can run an event loop.
@@ -65,12 +78,12 @@ def chromium() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=ARGUMENTS)
-        yield browser
+        yield Chromium(browser)
         browser.close()
 
 
 @pytest.fixture(scope="module")
-def loaded(chromium: Any, start: Start) -> Iterator[Callable[[str], StudioPage]]:
+def loaded(chromium: Chromium, start: Start) -> Iterator[Callable[[str], StudioPage]]:
     """Pages that tests share, by what they show: loading one costs more than most tests."""
     contexts: list[Any] = []
     pages: dict[str, StudioPage] = {}
@@ -109,7 +122,7 @@ def human(loaded: Callable[[str], StudioPage]) -> Iterator[StudioPage]:
 
 
 @pytest.fixture
-def visit(chromium: Any) -> Iterator[Callable[..., StudioPage]]:
+def visit(chromium: Chromium) -> Iterator[Callable[..., StudioPage]]:
     """Open a studio's page; the test fails if the page complained on its console."""
     contexts: list[Any] = []
     pages: list[StudioPage] = []

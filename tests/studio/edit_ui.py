@@ -15,11 +15,8 @@ from keypose.studio import StudioServer
 class EditUi:
     """One page that edits the project of a studio."""
 
-    def __init__(self, studio: StudioPage, server: StudioServer, *, drawn: bool = False) -> None:
-        """``drawn``: whether the stage is drawn; software rendering is what takes most of the time."""
+    def __init__(self, studio: StudioPage, server: StudioServer) -> None:
         self.studio, self.server, self.page = studio, server, studio.page
-        if not drawn:
-            self.page.evaluate("keypose.studio.view.draw = () => {}")
         self.page.get_by_test_id("page-edit").click()
         self.studio.until(lambda: self.state()["open"], "the editor is open")
 

@@ -30,7 +30,7 @@ class View:
     def settle(self) -> None:
         """Wait until what was done is drawn, and the server has it."""
         self.until(lambda: self.page.evaluate("keypose.editor.waiting === 0"), "the server has every edit")
-        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        self.studio.drawn()
 
     def add(self, source: str) -> None:
         """Take a character into the project and wait until it stands there."""

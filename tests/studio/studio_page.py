@@ -7,6 +7,17 @@ from collections.abc import Callable
 from typing import Any
 
 
+# A software renderer takes up to half a second for a picture that most tests never look at. All else is done: shaders
+# are compiled, buffers filled, states set.
+UNDRAWN = """(() => {
+  const gl = WebGL2RenderingContext.prototype;
+  for (const name of ["drawArrays", "drawElements", "drawRangeElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+    const draw = gl[name];
+    gl[name] = function (...given) { if (window.drawn) draw.apply(this, given); };
+  }
+})()"""
+
+
 class StudioPage:
     """A page of the studio and the questions that tests ask it."""
 
@@ -52,6 +63,7 @@ class StudioPage:
         self.page.evaluate(
             """() => {
               const s = keypose.studio;
+              window.drawn = false;
               s.pause(); s.setMode("loop"); s.setSpeed(1); s.select(-1); s.help = false; s.readout = "frames";
               s.perform(s.active, s.offered[0]); s.seekFrame(0);
               s.toasts = []; s.setTheme("dark", false);
@@ -62,6 +74,14 @@ class StudioPage:
               document.activeElement?.blur();
             }"""
         )
+
+    def draw(self, on: bool = True) -> None:
+        """Draw from now on, or no longer: pages begin with empty pictures."""
+        self.page.evaluate("(on) => (window.drawn = on)", on)
+
+    def drawn(self) -> None:
+        """Wait until what is set now has come to the picture."""
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def test_id(self, name: str) -> Any:
         """An element by its test id."""

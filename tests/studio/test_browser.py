@@ -40,7 +40,9 @@ def pixels(studio: StudioPage) -> np.ndarray:
           for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame);
           const { view } = keypose.studio;
           view.pose();
+          window.drawn = true;
           view.draw();
+          window.drawn = false;
           return view.canvas.toDataURL('image/png');
         }"""
     )
@@ -347,6 +349,7 @@ def test_the_help_panel_lists_the_shortcuts(studio: StudioPage) -> None:
 
 
 def test_a_picture_is_saved(studio: StudioPage, tmp_path: Path) -> None:
+    studio.draw()
     studio.page.evaluate("keypose.studio.seekFrame(7)")
     with studio.page.expect_download() as download:
         studio.page.keyboard.press("p")

@@ -440,6 +440,7 @@ def test_a_copied_arm_is_pasted_on_the_other_side(edit: Callable[..., View]) -> 
 
 def test_poses_are_kept_with_pictures_and_put_on_by_a_share(edit: Callable[..., View]) -> None:
     view = edit("sample:human")
+    view.studio.draw()  # the small pictures
     view.page.get_by_test_id("tab-poses").click()
     view.select("RightArm")
     rest = view.local("RightArm")["rotation"]
@@ -517,6 +518,7 @@ def test_a_film_is_exact_and_cancelling_makes_none(edit: Callable[..., View], tm
     view = edit(crooked_scene())
     bouncing(view)
     view.select()
+    view.studio.draw()
     page = view.page
     page.get_by_test_id("open-playblast").click()
     page.get_by_test_id("playblast-size").select_option(label="640 × 360")

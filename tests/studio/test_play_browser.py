@@ -37,7 +37,7 @@ def playing(page: StudioPage) -> StudioPage:
 
 @pytest.fixture(scope="module")
 def shared(chromium: Any, start: Start) -> Iterator[StudioPage]:
-    """One page on the built-in graph; drawing is left out, because a software renderer takes 200 ms for a picture."""
+    """One page on the built-in graph."""
     server = start(graphs=[built_in("locomotion")])
     context = chromium.new_context(viewport={"width": 1100, "height": 700}, color_scheme="dark", accept_downloads=True)
     context.set_default_timeout(30_000)
@@ -53,7 +53,7 @@ def human(shared: StudioPage) -> Iterator[StudioPage]:
     """The page at the beginning of the graph, nothing pressed."""
     shared.complaints.clear()
     shared.page.set_viewport_size({"width": 1100, "height": 700})
-    shared.ask("drawNothing", True)
+    shared.draw(False)
     shared.ask("gamepad", None)
     shared.page.evaluate(
         """() => {
@@ -202,7 +202,6 @@ def test_weights_in_the_graph_sum_to_one(human: StudioPage) -> None:
 
 
 def test_a_joint_says_which_clip_moves_it(human: StudioPage) -> None:
-    human.ask("drawNothing", False)
     names = human.page.evaluate("keypose.play.playing.actor.rig.names")
     human.page.wait_for_timeout(500)
     x, y = human.ask("playJointOnScreen", names.index("RightForeArm"))
@@ -233,7 +232,7 @@ def test_feet_states_and_costs_are_read_out(human: StudioPage) -> None:
 
 
 def test_a_picture_is_saved(human: StudioPage, tmp_path: Path) -> None:
-    human.ask("drawNothing", False)
+    human.draw()
     with human.page.expect_download() as waiting:
         human.page.keyboard.press("v")
     waiting.value.save_as(tmp_path / "shot.png")
@@ -299,7 +298,6 @@ def test_a_recording_downloads_and_loads_with_as_many_frames(human: StudioPage, 
 
 
 def test_a_step_costs_the_page_less_than_four_milliseconds(human: StudioPage) -> None:
-    human.ask("drawNothing", False)
     human.page.keyboard.down("w")
     human.until(lambda: now(human)["states"]["body"] == "move", "it walks")
     human.ask("resetPlayStats")

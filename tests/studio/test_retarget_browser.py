@@ -25,8 +25,8 @@ def now(page: StudioPage) -> dict[str, Any]:
 
 
 def settled(page: StudioPage) -> StudioPage:
-    page.until(lambda: now(page)["settled"] and not now(page)["stale"], "the motion is there", 60)
-    page.page.wait_for_timeout(100)
+    page.until(lambda: (told := now(page))["settled"] and not told["stale"], "the motion is there", 60)
+    page.drawn()
     return page
 
 
@@ -74,7 +74,7 @@ def page(shared: StudioPage) -> Iterator[StudioPage]:
 
 
 def shown(page: StudioPage, side: str) -> np.ndarray:
-    page.page.wait_for_timeout(120)
+    page.drawn()
     return np.array(page.ask("retargetPositions", side))
 
 
