@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-
 # A software renderer takes up to half a second for a picture that most tests never look at. All else is done: shaders
 # are compiled, buffers filled, states set.
 UNDRAWN = """(() => {
