@@ -53,7 +53,7 @@ def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, ma
         reached = plain.kinematics(parents, turns, bones)[1]
         return float(np.linalg.norm((reached - places)[:, effectors], axis=-1).max())
 
-    one, every = [goal[0, e].copy() for e in effectors], [many[:, e].copy() for e in effectors]
+    one, every = goal[0, effectors], [many[:, e].copy() for e in effectors]
     beside = min(_BESIDE, len(many))
     full, near, said = _beside(parents, offsets, effectors, many[:beside])
     for words, options, peer, note, limit in (
