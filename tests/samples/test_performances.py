@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from keypose.analysis import measure_quality
 from keypose.errors import UnknownName
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
@@ -101,6 +102,14 @@ def test_run_has_a_flight_and_walk_has_none() -> None:
             heel = positions[:, ankle] + quat.rotate(rotations[:, ankle], np.float32([0, -0.098, -0.045]))
             lowest.append(np.minimum(heel[:, 1], positions[:, ball, 1] - SOLE_M))
         assert bool(np.any(np.minimum(*lowest) > 0.02)) is flies
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_quality_meter_finds_nothing(name: str) -> None:
+    found = measure_quality(performances.make(name), skeleton())
+    assert not found.limit_breaks
+    assert not found.pops
+    assert found.overlap_cm is not None and found.overlap_cm < 0.1
 
 
 def test_unknown_performance_names_the_nearest() -> None:

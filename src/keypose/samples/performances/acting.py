@@ -7,7 +7,7 @@ import numpy as np
 from keypose.arrays import Floats
 from keypose.model import Motion
 from keypose.samples.performances.body import Arm, Controls, Foot, animate
-from keypose.samples.performances.tracks import blinks, bump, eased, rolled_ankle, smooth_sum
+from keypose.samples.performances.tracks import blinks, bump, eased, rolled_ankle, rounded, smooth_sum
 from keypose.samples.skeleton import rest_positions
 
 RATE_HZ = 60.0
@@ -125,34 +125,36 @@ def jump() -> Motion:
     air = np.clip((times - leave_s) / (land_s - leave_s), 0, 1)
     flying = (times > leave_s) & (times < land_s)
 
-    crouch = eased(times, [(0, 0), (0.36, 1), (leave_s, 0), (land_s, 0.05), (land_s + 0.2, 0.85), (1.95, 0)])
+    crouch = eased(times, [(0.07, 0), (0.36, 1), (leave_s, 0), (land_s, 0.05), (land_s + 0.2, 0.85), (1.95, 0)])
     controls = _standing(times, times[-1])
     controls.hips_move = _columns(0.0, height, -0.075 * crouch)
-    controls.hips_turn = _columns(34 * crouch - 5 * np.sin(np.pi * air), 0.0, 0.0)
-    controls.spine = _columns(20 * crouch - 7 * np.sin(np.pi * air), 0.0, 0.0)
+    controls.hips_turn = _columns(34 * crouch - 5 * np.sin(np.pi * air) ** 2, 0.0, 0.0)
+    controls.spine = _columns(20 * crouch - 7 * np.sin(np.pi * air) ** 2, 0.0, 0.0)
     controls.neck = _columns(-16 * crouch, 0.0, 0.0)
-    controls.head = _columns(-18 * crouch - 5 * np.sin(np.pi * air), 0.0, 0.0)
+    controls.head = _columns(-18 * crouch - 5 * np.sin(np.pi * air) ** 2, 0.0, 0.0)
 
     pitch = eased(
         times,
         [
             (0, 0),
             (0.43, 0),
-            (leave_s, -58),
+            (leave_s, -60),
             (leave_s + 0.2, -40),
-            (land_s - 0.1, -20),
-            (land_s, -24),
-            (land_s + 0.07, 0),
+            (land_s - 0.12, -28),
+            (land_s, -36),
+            (land_s + 0.11, 0),
             (2.2, 0),
         ],
     )
+    # In the air the feet follow the hips, drawn up a little; they leave and meet the ground within a few frames, not within one.
     tuck = 0.115 * np.sin(np.pi * air) ** 1.5
+    drawn = np.where(flying[:, None], _columns(0.0, flight - off_m + tuck, -0.35 * tuck), 0.0)
+    near = np.maximum(bump(times, leave_s, 0.25), bump(times, land_s, 0.25))[:, None]
+    drawn = drawn + near * (rounded(drawn, 10) - drawn)
     for side in ("Left", "Right"):
         flat = np.tile(rest_positions()[f"{side}Foot"], (len(times), 1))
         place, toe = rolled_ankle(side, flat, pitch, 9.0)
-        # In the air the feet follow the hips, drawn up a little.
-        place[:, 1] += np.where(flying, flight - off_m + tuck, 0.0)
-        place[:, 2] -= np.where(flying, 0.35 * tuck, 0.0)
+        place = place + drawn
         controls.feet[side] = Foot(
             place=place,
             pitch=pitch,
@@ -163,30 +165,29 @@ def jump() -> Motion:
         swing = eased(
             times,
             [
-                (0, 1),
-                (0.12, 6),
-                (0.36, -52),
-                (leave_s - 0.02, 118),
-                (leave_s + 0.18, 148),
-                (land_s, 62),
-                (land_s + 0.22, -14),
-                (1.75, 9),
+                (0.07, 1),
+                (0.28, -40),
+                (leave_s + 0.08, 92),
+                (leave_s + 0.26, 132),
+                (land_s, 66),
+                (land_s + 0.3, -10),
+                (1.75, 8),
                 (2.05, 1),
                 (2.2, 1),
             ],
         )
         controls.arms[side] = Arm(
             lift=eased(
-                times, [(0, 8.5), (0.36, 14), (leave_s, 14), (leave_s + 0.2, 17), (land_s + 0.1, 34), (1.9, 8.5)]
+                times, [(0.07, 8.5), (0.36, 14), (leave_s, 14), (leave_s + 0.2, 17), (land_s + 0.1, 34), (1.9, 8.5)]
             ),
             swing=swing,
             twist=9.0,
             bend=eased(
-                times, [(0, 17), (0.36, 26), (leave_s, 34), (leave_s + 0.2, 22), (land_s + 0.2, 48), (1.95, 17)]
+                times, [(0.07, 17), (0.3, 26), (leave_s, 36), (leave_s + 0.24, 22), (land_s + 0.25, 48), (1.95, 17)]
             ),
             roll=16.0,
-            hand=eased(times, [(0, 4), (0.36, 14), (leave_s, -14), (land_s, 10), (1.95, 4)]),
-            curl=eased(times, [(0, 0.27), (0.36, 0.5), (leave_s + 0.1, 0.08), (land_s, 0.15), (1.9, 0.27)]),
+            hand=eased(times, [(0.07, 4), (0.3, 12), (leave_s + 0.1, -12), (land_s, 10), (1.95, 4)]),
+            curl=eased(times, [(0.07, 0.27), (0.3, 0.5), (leave_s + 0.16, 0.08), (land_s, 0.15), (1.9, 0.27)]),
             spread=0.6 * np.sin(np.pi * air),
             shrug=1.0 + 12 * np.sin(np.pi * np.clip(air * 1.2, 0, 1)),
         )

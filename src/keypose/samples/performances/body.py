@@ -18,6 +18,9 @@ from keypose.model import Motion, Pose
 from keypose.samples.skeleton import FINGERS, bend_axis, hand_axes, rest_positions, skeleton, twist_axis
 
 SIDES = ("Left", "Right")
+
+# Of the upper arm's twist, which an elbow cannot take and a shoulder's skin not all of; the joint of twist has the rest.
+_AT_THE_SHOULDER = 0.6
 Track = Floats | float
 
 
@@ -122,16 +125,17 @@ def turn(angles_deg: Floats) -> Floats:
 def _arm(side: str, arm: Arm) -> dict[str, Floats]:
     """Local rotations of one arm and its hand; both are written as a left arm, the right one is its mirror image."""
     x, y, z = np.eye(3)
-    twist = rotation(twist_axis("LeftArm"), -np.asarray(arm.twist, np.float64))
+    along, turned = twist_axis("LeftArm"), -np.asarray(arm.twist, np.float64)
+    aimed = quat.multiply(rotation(x, -np.asarray(arm.swing, np.float64)), rotation(z, np.asarray(arm.lift) - 45.0))
+    rest_of_twist = rotation(along, (1.0 - _AT_THE_SHOULDER) * turned)
     roll = np.asarray(arm.roll, np.float64)
     fore_along = twist_axis("LeftForeArm")
     wrist = quat.multiply(rotation(bend_axis("LeftHand"), arm.hand), rotation(hand_axes()[2], arm.tilt))
     local = {
         "Shoulder": quat.multiply(rotation(z, arm.shrug), rotation(y, -np.asarray(arm.forward, np.float64))),
-        "Arm": quat.multiply(rotation(x, -np.asarray(arm.swing, np.float64)), rotation(z, np.asarray(arm.lift) - 45.0)),
-        # The twist goes to the twist joint and to the elbow, so that the shoulder does not wring.
-        "ArmTwist": twist,
-        "ForeArm": quat.multiply(twist, rotation(bend_axis("LeftForeArm"), arm.bend)),
+        "Arm": quat.multiply(aimed, rotation(along, _AT_THE_SHOULDER * turned)),
+        "ArmTwist": rest_of_twist,
+        "ForeArm": quat.multiply(rest_of_twist, rotation(bend_axis("LeftForeArm"), arm.bend)),
         "ForeArmTwist": rotation(fore_along, roll / 2),
         "Hand": quat.multiply(rotation(fore_along, roll), wrist),
     }

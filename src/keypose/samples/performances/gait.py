@@ -45,7 +45,7 @@ WALK = Gait(
         (0.0, 19), (0.05, 9), (0.1, 0), (0.3, 0), (0.4, -8), (0.5, -26), (0.6, -52),
         (0.66, -60), (0.76, -34), (0.86, 2), (0.94, 18),
     ),
-    lift=((0.0, 0.0), (0.3, 0.045), (0.62, 0.02), (1.0, 0.0)),
+    lift=((0.0, 0.0), (0.3, 0.045), (0.62, 0.026), (0.82, 0.013), (1.0, 0.0)),
     swing_toe=12.0,
     yaw=5.0,
 )  # fmt: skip
@@ -60,7 +60,7 @@ RUN = Gait(
         (0.0, 6), (0.05, 0), (0.13, 0), (0.2, -16), (0.27, -42), (0.34, -66),
         (0.5, -92), (0.64, -62), (0.78, -16), (0.9, 8), (0.96, 9),
     ),
-    lift=((0.0, 0.0), (0.22, 0.17), (0.45, 0.3), (0.7, 0.2), (0.88, 0.05), (1.0, 0.0)),
+    lift=((0.0, 0.0), (0.17, 0.16), (0.45, 0.3), (0.7, 0.2), (0.88, 0.08), (1.0, 0.0)),
     swing_toe=10.0,
     yaw=3.0,
 )  # fmt: skip
@@ -186,24 +186,29 @@ def _foot(gait: Gait, side: str, phase: Floats, hips: Floats) -> Foot:
 def _swing(
     gait: Gait, on_ground: Callable[[Floats, Floats], tuple[Floats, Floats]], step: Floats, share: Floats
 ) -> Floats:
-    """A cubic from toe-off to heel strike with the ground's velocities at both ends, plus the lift."""
+    """A quintic from toe-off to heel strike with the ground's velocities and no acceleration at both ends, plus the lift."""
     from scipy.interpolate import PchipInterpolator
 
-    little = 1e-3
+    little, span = 1e-3, 1 - gait.stance
     leave, before = on_ground(step, 0 * step + gait.stance)[0], on_ground(step, 0 * step + gait.stance - little)[0]
     land, after = on_ground(step + 1, 0 * step)[0], on_ground(step + 1, 0 * step + little)[0]
-    span = 1 - gait.stance
-    leave_speed, land_speed = (leave - before) / little * span, (after - land) / little * span
-    u = share[:, None]
-    place = (
-        (2 * u**3 - 3 * u**2 + 1) * leave
-        + (u**3 - 2 * u**2 + u) * leave_speed
-        + (3 * u**2 - 2 * u**3) * land
-        + (u**3 - u**2) * land_speed
-    )
-    shares, heights = np.array(gait.lift).T
+    leave_speed, land_speed = (leave - before) / little * span, (land - after) / little * span
+    u, v = share[:, None], 1 - share[:, None]
+    place = _blend(u) * leave + _blend(v) * land + _speed(u) * leave_speed + _speed(v) * land_speed
+    # level at both ends, where the ground's own velocities hold
+    shares, heights = np.array([(-1.0, gait.lift[0][1]), *gait.lift, (2.0, gait.lift[-1][1])]).T
     place[:, 1] += PchipInterpolator(shares, heights)(share)
     return place
+
+
+def _blend(u: Floats) -> Floats:
+    """The quintic that is 1 at 0, and nothing else there and at 1."""
+    return 1 - u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def _speed(u: Floats) -> Floats:
+    """The quintic with the slope 1 at 0, and nothing else there and at 1."""
+    return u - u**3 * (6 - 8 * u + 3 * u**2)
 
 
 def _hips_height(gait: Gait, phase: Floats, hips: Floats, feet: dict[str, Foot]) -> Floats:

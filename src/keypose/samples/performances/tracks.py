@@ -2,29 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from keypose.arrays import Floats
 from keypose.samples.skeleton import rest_positions
 
+# How far tracks are rounded off at their keys: seconds to each side, and shares of a cycle.
+_ROUND_S = 0.07
+_ROUND_PHASE = 0.025
+_SAMPLES = 16
+
 
 def cyclic(phase: Floats, keys: Sequence[tuple[float, float]]) -> Floats:
-    """A periodic track through (phase, value) keys, phase in 0..1, that never overshoots (monotone cubic)."""
+    """A periodic track near (phase, value) keys, phase in 0..1, that never overshoots (monotone cubic, rounded off)."""
     from scipy.interpolate import PchipInterpolator
 
     times, values = np.array(sorted(keys), np.float64).T
     laps = np.concatenate([times - 1, times, times + 1])
-    return PchipInterpolator(laps, np.tile(values, 3))(np.asarray(phase) % 1)
+    return _rounded(PchipInterpolator(laps, np.tile(values, 3)), np.asarray(phase) % 1, _ROUND_PHASE)
 
 
 def eased(times_s: Floats, keys: Sequence[tuple[float, float]]) -> Floats:
-    """A track through (second, value) keys that eases in and out at each and never overshoots (monotone cubic)."""
+    """A track near (second, value) keys that eases in and out at each and never overshoots (monotone cubic, rounded off).
+
+    It stands still before the first key and after the last.
+    """
     from scipy.interpolate import PchipInterpolator
 
-    times, values = np.array(keys, np.float64).T
-    return PchipInterpolator(times, values)(np.clip(times_s, times[0], times[-1]))
+    times, values = np.array([(keys[0][0] - 1.0, keys[0][1]), *keys, (keys[-1][0] + 1.0, keys[-1][1])], np.float64).T
+    curve = PchipInterpolator(times, values)
+    return _rounded(lambda t: curve(np.clip(t, times[0], times[-1])), np.asarray(times_s, np.float64), _ROUND_S)
+
+
+def _rounded(curve: Callable[[Floats], Floats], at: Floats, half_width: float) -> Floats:
+    """A curve averaged over a raised cosine: what joins cubics with one speed has one acceleration as well."""
+    offsets = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1
+    weights = 1 + np.cos(np.pi * offsets)
+    moved = np.asarray(at)[..., None] + half_width * offsets
+    return curve(moved) @ (weights / weights.sum())
+
+
+def rounded(track: Floats, frames: int) -> Floats:
+    """A track (T, C) averaged over a raised cosine of so many frames to each side, its ends held."""
+    from scipy.ndimage import convolve1d
+
+    weights = 1 + np.cos(np.pi * np.arange(-frames, frames + 1) / (frames + 1))
+    return convolve1d(track, weights / weights.sum(), axis=0, mode="nearest")
 
 
 def bump(times_s: Floats, centre_s: float, rise_s: float, fall_s: float | None = None) -> Floats:
