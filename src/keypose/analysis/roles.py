@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from keypose.analysis.anatomy import Side, side_of, words_of
+from keypose.analysis.quadruped import Tree, find_quadruped, find_tail
 from keypose.arrays import Floats, Ints
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world_rotations_positions
@@ -202,15 +203,36 @@ class _Finder:
             self.face()
         for role, joint in self.known.items():
             self.roles[role], self.sure[role] = joint, 1.0
-        order = [role for role in ROLES if role in self.roles]
-        order += [role for role in self.roles if role not in ROLES]
-        settled = {
-            role: self.settled(self.roles[role]) if role not in self.known else self.roles[role] for role in order
-        }
-        four = stands_on_all_fours(self.places, settled)
+        found = self.ordered()
+        four = stands_on_all_fours(self.places, found)
+        if not four and not self.known and any(role not in found for role in REQUIRED):
+            four = self.animal()
+            found = self.ordered()
         if four:
             self.notes.append("the hands stand on the ground and the back is level: a quadruped")
-        return RoleMap(settled, {r: self.sure[r] for r in order}, tuple(self.notes), four)
+            tail = {} if any(":" in role for role in found) else find_tail(self.tree(), found)
+            for role, joint in tail.items():
+                found[role], self.sure[role] = joint, 1.0 if "tail" in self.texts[joint] else 0.6
+        return RoleMap(found, {r: self.sure[r] for r in found}, tuple(self.notes), four)
+
+    def ordered(self) -> dict[str, int]:
+        order = [role for role in ROLES if role in self.roles]
+        order += [role for role in self.roles if role not in ROLES]
+        return {r: self.settled(self.roles[r]) if r not in self.known else self.roles[r] for r in order}
+
+    def tree(self) -> Tree:
+        helpers = frozenset(j for j, part in enumerate(self.parts) if part == "helper")
+        return Tree(self.parents, self.children, self.places, self.sides, helpers)
+
+    def animal(self) -> bool:
+        """Roles of an animal on all fours, where the joints stand like one."""
+        found = find_quadruped(self.tree())
+        if found is None or not stands_on_all_fours(self.places, found):
+            return False
+        self.roles, self.sure = found, dict.fromkeys(found, 0.6)
+        self.notes = ["its roles were found by where joints are"]
+        self.face()
+        return True
 
     def put(self, role: str, joint: int, sure: float) -> None:
         if joint not in self.roles.values():
