@@ -12,6 +12,7 @@ export class FakeEditor implements Editor {
   muted = $state.raw<ReadonlySet<string>>(new Set());
   locked = $state.raw<ReadonlySet<string>>(new Set());
   snap = $state(true);
+  span = $state.raw<readonly [number, number] | null>(null);
   time = $state(0);
   autoKey = false;
   actor: Actor | null = null;
@@ -56,6 +57,7 @@ export class FakeEditor implements Editor {
 
   redo(): void {}
   pose(): void {}
+  dropPosed(): void {}
   insertKeys(): void {}
   toast(): void {}
   operate(): Promise<void> {

@@ -224,13 +224,18 @@ export class Studio extends Player {
     });
   }
 
+  /** Names of the characters of this project that were brought into view. */
+  readonly framed = new Set<string>();
+
   private enterCast(file: OpenFile): void {
     this.cast = [...this.cast, file];
     if (this.page === "edit") {
       for (const actor of file.actors) this.view.add(actor);
       if (!this.active) this.activate(file.actors[0] ?? null);
-      this.view.frameAll("three-quarter", true);
+      // who only comes with a rig, or without it again, is looked at as before
+      if (!this.framed.has(file.name)) this.view.frameAll("three-quarter", true);
     }
+    this.framed.add(file.name);
     for (const listener of this.castListeners) listener();
   }
 

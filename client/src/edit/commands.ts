@@ -34,7 +34,7 @@ export function allCommands(): Command[] {
   return [...table.values()];
 }
 
-const GROUPS = ["Project", "Edit", "Keys", "Time", "Pose", "Select", "Layers", "View", "Curves", "Window"];
+const GROUPS = ["Project", "Edit", "Keys", "Time", "Pose", "Rig", "Select", "Layers", "View", "Curves", "Window"];
 
 /** All commands, group by group. */
 export function sortedCommands(): Command[] {

@@ -154,6 +154,8 @@ export interface Editor {
   locked: ReadonlySet<string>;
   autoKey: boolean;
   snap: boolean;
+  /** Selected time, in seconds of the timeline: operators work there alone. */
+  span: readonly [number, number] | null;
   /** Seconds on the timeline. */
   time: number;
   seek(time: number): void;
@@ -172,6 +174,8 @@ export interface Editor {
    * current time when `done`; without, they stay until time moves. While dragging, `done` is false.
    */
   pose(values: ReadonlyMap<string, readonly number[]>, label: string, done: boolean): void;
+  /** Back from what is posed and not keyed to the animation; undo brings it back. */
+  dropPosed(): void;
   /** Key what the joints show now, at the current time, on the active clip, and `more` channels of weights and numbers. */
   insertKeys(joints: readonly number[], properties: readonly Property[], more?: readonly ChannelId[]): void;
   /** Say something to the user. */

@@ -9,6 +9,7 @@ import { addLayer, addMarker, maskFromSelection, setRange } from "./layers";
 import { layout } from "./layout.svelte";
 import { page } from "./page.svelte";
 import { project } from "./project.svelte";
+import { selectFrom, selectTo } from "./span";
 
 const some = () => editor.timeline !== null;
 const joints = () => editor.selectedJoints.length > 0;
@@ -65,12 +66,15 @@ export function coreCommands(): Command[] {
     time("time.loop", "Loop, once, ping-pong", "", () => editor.cycleMode()),
     time("time.range-start", "Range starts here", ["Ctrl+Home", "Alt+Home"], () => setRange(Math.min(editor.time, editor.timeline!.end), editor.timeline!.end), { when: some }),
     time("time.range-end", "Range ends here", ["Ctrl+End", "Alt+End"], () => setRange(editor.timeline!.start, Math.max(editor.time, editor.timeline!.start)), { when: some }),
+    time("time.span-from", "Select the time from here on", ["Alt+Home", "Ctrl+Home"], () => selectFrom(editor, editor.time), { when: some }),
+    time("time.span-to", "Select the time up to here", ["Alt+End", "Ctrl+End"], () => selectTo(editor, editor.time), { when: some }),
+    time("time.span-none", "Select no time", "", () => (editor.span = null), { when: () => editor.span !== null }),
     time("time.marker", "Mark this moment", "M", () => addMarker(freeName("Marker", editor.timeline!.markers.map((m) => m.name)), editor.time), { when: some }),
     time("time.marker-back", "Previous marker", "", () => seekMarker(-1), { when: some }),
     time("time.marker-forward", "Next marker", "", () => seekMarker(1), { when: some }),
 
     select("select.find", "Find a joint", "/", () => {
-      layout.leftOpen = true;
+      layout.open("left");
       setTimeout(() => document.querySelector<HTMLInputElement>("[data-testid=edit-find]")?.focus());
     }),
 
@@ -83,8 +87,8 @@ export function coreCommands(): Command[] {
     show("show.operators", "Operators", "", () => showTab("operators")),
     show("show.poses", "Poses", "", () => showTab("poses")),
     show("show.clip", "Timeline, layer and clip", "", () => showTab("clip")),
-    show("show.left", "Characters and layers on or off", ["T", "Ctrl+["], () => ((layout.leftOpen = !layout.leftOpen), layout.remember())),
-    show("show.right", "Inspector on or off", ["N", "Ctrl+]"], () => ((layout.rightOpen = !layout.rightOpen), layout.remember())),
+    show("show.left", "Characters and layers on or off", ["T", "Ctrl+["], () => layout.toggle("left")),
+    show("show.right", "Inspector on or off", ["N", "Ctrl+]"], () => layout.toggle("right")),
     show("show.theme", "Dark or light theme", "", () => studio.setTheme(studio.theme === "dark" ? "light" : "dark")),
     show("show.stats", "Statistics of drawing", "", () => (studio.stats = !studio.stats)),
     show("show.keys-blender", "Keys as in Blender", "", () => setKeyMap("blender"), { when: () => layout.keyMap !== "blender" }),
@@ -95,9 +99,8 @@ export function coreCommands(): Command[] {
 }
 
 function showTab(tab: typeof layout.tab): void {
-  layout.rightOpen = true;
   layout.tab = tab;
-  layout.remember();
+  layout.open("right");
 }
 
 export function setKeyMap(map: typeof layout.keyMap): void {

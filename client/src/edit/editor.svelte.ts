@@ -20,6 +20,7 @@ import {
 } from "./contract";
 import { apply, clipTime, EMPTY, keyTimes, reuse } from "./document";
 import { layerValues, TimelineAnimation, without } from "./evaluate";
+import { HeldPose, type HeldValues } from "./held.svelte";
 import { deleteKeys, refreshTangents, valueAt } from "./keys";
 import { layout } from "./layout.svelte";
 import type { Link, Values } from "./link";
@@ -59,7 +60,8 @@ export class Editor implements EditorContract {
   snap = $state(true);
   /** Only channels whose name holds this are listed. */
   query = $state("");
-  posed = $state.raw<ReadonlyMap<string, readonly number[]>>(new Map());
+  readonly held = new HeldPose();
+  span = $state.raw<readonly [number, number] | null>(null);
   /** Steps on their way to the server. */
   waiting = $state(0);
 
@@ -68,7 +70,6 @@ export class Editor implements EditorContract {
   private confirmed: EditDocument = EMPTY;
   private pending: Pending[] = [];
   private previewed: Changes | null = null;
-  private posedTime = 0;
   private queue: Promise<void> = Promise.resolve();
 
   character = $derived.by(() => {
@@ -118,7 +119,9 @@ export class Editor implements EditorContract {
       this.selection = NOTHING;
       this.selectedJoints = [];
       this.hidden = this.locked = this.mutedKeys = new Set();
-      this.posed = new Map();
+      this.held.forget();
+      this.span = null;
+      studio.framed.clear();
       this.characterName = this.layerName = "";
     }
     this.show();
@@ -176,6 +179,7 @@ export class Editor implements EditorContract {
       this.perform();
       return;
     }
+    this.held.settle();
     const id = `${this.session}-${++this.count}`;
     this.pending = [...this.pending, { id, changes: own, revision: Infinity }];
     this.show();
@@ -222,16 +226,20 @@ export class Editor implements EditorContract {
     if (!link || !clip) return Promise.resolve();
     const listed = this.channels.map((c): [string, null] => [c.channel.key, null]);
     const channels: ReadonlyMap<string, Uint32Array | null> = this.selection.size > 0 ? this.selection : new Map(listed);
-    const scope = { clip: clip.name, character: this.character?.name ?? "", channels };
+    const ends = this.span?.map((time) => this.clipTime(time)).sort((a, b) => a - b);
+    const scope = { clip: clip.name, character: this.character?.name ?? "", channels, span: ends ? ([ends[0], ends[1]] as const) : null };
     return this.enqueue(() => link.operate(name, scope, parameters as Values), "This could not be done");
   }
 
+  /** Take back what was posed last and is held, else the last step of the document. */
   undo(): void {
-    this.step(1);
+    if (this.held.undo()) studio.view.invalidatePose();
+    else this.step(1);
   }
 
   redo(): void {
-    this.step(-1);
+    if (this.held.redo()) studio.view.invalidatePose();
+    else this.step(-1);
   }
 
   /** Undo (or, negative, redo) so many steps. */
@@ -320,7 +328,7 @@ export class Editor implements EditorContract {
   }
 
   private applyPosed(time: number, pose: Pose): void {
-    if (this.posed.size > 0 && Math.abs(time - this.posedTime) < 1e-9) this.writePose(this.actor!, pose, this.posed);
+    if (this.posed.size > 0 && Math.abs(time - this.held.time) < 1e-9) this.writePose(this.actor!, pose, this.posed);
   }
 
   private writePose({ rig, morphNames }: Actor, pose: Pose, values: ReadonlyMap<string, readonly number[]>): void {
@@ -366,7 +374,7 @@ export class Editor implements EditorContract {
 
   /** Poses that were set by hand and not keyed do not outlast their moment. */
   timeMoved(): void {
-    if (this.posed.size > 0 && Math.abs(studio.time - this.posedTime) > 1e-9) this.posed = new Map();
+    if (this.posed.size > 0 && Math.abs(studio.time - this.held.time) > 1e-9) this.held.forget();
   }
 
   seekFrame(frame: number): void {
@@ -415,6 +423,19 @@ export class Editor implements EditorContract {
 
   // ---- posing and keying -------------------------------------------------------------------------------------------
 
+  get posed(): HeldValues {
+    return this.held.values;
+  }
+
+  set posed(values: HeldValues) {
+    this.held.restore(values);
+  }
+
+  dropPosed(): void {
+    this.held.drop();
+    studio.view.invalidatePose();
+  }
+
   pose(values: ReadonlyMap<string, readonly number[]>, label: string, done: boolean): void {
     if (this.autoKey) {
       const changes = this.keysFor(values);
@@ -422,8 +443,7 @@ export class Editor implements EditorContract {
       else this.preview(changes);
       return;
     }
-    this.posed = new Map([...this.posed, ...values]);
-    this.posedTime = studio.time;
+    this.held.hold(values, studio.time, label, done);
     studio.view.invalidatePose();
   }
 
@@ -479,7 +499,7 @@ export class Editor implements EditorContract {
     }
     const channels = [...joints.flatMap((joint) => properties.flatMap((p) => channelsFor(clip, actor.rig.names[joint], p, layout.rotations))), ...more];
     const changes = this.keyed(actor, clip, channels, this.posed);
-    this.posed = new Map();
+    this.held.forget();
     const what = joints.length === 1 ? actor.rig.names[joints[0]] : joints.length > 0 ? `${joints.length} joints` : more.map((c) => c.target).join(", ");
     this.commit(`Key ${what}`, changes);
   }
@@ -489,7 +509,7 @@ export class Editor implements EditorContract {
     const { actor, clip } = this;
     if (!actor || !clip || names.length === 0) return;
     const changes = this.keyed(actor, clip, names.map((name) => channelOf(name, "weight")), this.posed);
-    this.posed = new Map();
+    this.held.forget();
     this.commit(`Key ${names.length === 1 ? names[0] : `${names.length} shapes`}`, changes);
   }
 
@@ -498,7 +518,7 @@ export class Editor implements EditorContract {
     const { actor, clip } = this;
     if (!actor || !clip || names.length === 0) return;
     const changes = this.keyed(actor, clip, names.map((name) => channelOf(name, "value")), this.posed);
-    this.posed = new Map();
+    this.held.forget();
     this.commit(`Key ${names.length === 1 ? names[0] : `${names.length} numbers`}`, changes);
   }
 

@@ -6,6 +6,8 @@ import type { RotationStyle } from "./posing";
 export type RightTab = "joint" | "rig" | "operators" | "poses" | "clip";
 
 const KEY = "keypose.edit";
+/** In a window that is narrower, panels lie over the stage, one at a time. */
+const NARROW = 760;
 const LIMITS = { left: [188, 420], right: [248, 460], bottom: [120, 620], layers: [96, 520] } as const;
 export type Size = keyof typeof LIMITS;
 
@@ -31,6 +33,20 @@ export class Layout {
       // no storage, or not ours: begin as designed
     }
     for (const name of Object.keys(LIMITS) as Size[]) this.resize(name, 0);
+    if (innerWidth <= NARROW) this.leftOpen = this.rightOpen = false;
+  }
+
+  /** Open or close a panel. */
+  toggle(side: "left" | "right"): void {
+    this.open(side, side === "left" ? !this.leftOpen : !this.rightOpen);
+  }
+
+  open(side: "left" | "right", open = true): void {
+    if (open && innerWidth <= NARROW) this.leftOpen = this.rightOpen = false;
+    if (side === "left") this.leftOpen = open;
+    else this.rightOpen = open;
+    // what a small window needs says nothing of a large one
+    if (innerWidth > NARROW) this.remember();
   }
 
   private values() {

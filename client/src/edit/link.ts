@@ -7,6 +7,8 @@ export interface Scope {
   readonly character: string;
   /** Channel key -> indices of keys, or null for all of them; no channels means all of the clip. */
   readonly channels: ReadonlyMap<string, Uint32Array | null>;
+  /** First and last second of the clip that are worked on; null for all of it. */
+  readonly span: readonly [number, number] | null;
 }
 
 export type Values = Readonly<Record<string, string | number | boolean | number[]>>;

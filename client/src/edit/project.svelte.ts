@@ -206,8 +206,8 @@ export class Project implements Link {
       clip: scope.clip,
       character: scope.character,
       channels,
-      start_s: null,
-      end_s: null,
+      start_s: scope.span?.[0] ?? null,
+      end_s: scope.span?.[1] ?? null,
       parameters: { ...parameters },
     });
     const label = operators.known.find((o) => o.name === name)?.label ?? name;

@@ -54,6 +54,7 @@ export const editHooks = {
     channels: editor.channels.map((c) => text(c.channel.key)),
     selectedJoints: editor.selectedJoints.map((j) => editor.actor!.rig.names[j]),
     selectedKeys: [...editor.selection].map(([key, indices]) => [text(key), [...indices]]),
+    span: editor.span && [...editor.span],
     posed: [...editor.posed].map(([key, value]) => [text(key), [...value]]),
     frame: studio.time * editor.rate,
     playing: studio.playing,

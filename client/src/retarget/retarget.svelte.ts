@@ -563,9 +563,14 @@ export class Retarget extends Player {
   /** The character that was sent is the one that is edited, as soon as it is there. */
   private activateIn(character: string): void {
     const activate = () => {
-      if (!editor.actorOf(character)) return;
+      const actor = editor.actorOf(character);
+      if (!actor) return;
       studio.castListeners.delete(activate);
       editor.activate(character);
+      // it is framed where it begins, not where it stands at rest
+      editor.perform();
+      actor.measurePerformance();
+      studio.view.pose();
       studio.view.frameAll("three-quarter", true);
     };
     studio.castListeners.add(activate);

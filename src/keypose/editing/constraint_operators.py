@@ -9,11 +9,11 @@ import numpy as np
 
 from keypose.editing.constraints import Constraint, Place, kept_in_place
 from keypose.editing.falloff import FALL_OFFS, edit_pose, with_joints
-from keypose.editing.framed import clip_rate, edit_frames
+from keypose.editing.framed import clip_rate, edit_frames, nearest_frame, selected_frames
 from keypose.editing.operator_types import Operated, Operator, Parameter, number
-from keypose.editing.paths import bend_path, close_path, extract_path, put_on_path, scale_path
+from keypose.editing.paths import bend_path, close_path, extract_path, put_on_path, stretch_path
 from keypose.editing.reach import Reach, found_roles, joint_of, reach
-from keypose.editing.selection import Selection, bounds, chosen_channels, chosen_joints, chosen_keys
+from keypose.editing.selection import Selection, chosen_channels, chosen_joints
 from keypose.editing.spacetime import solve_spacetime
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world_rotations_positions
@@ -25,21 +25,12 @@ FEET = ("left_foot", "right_foot")
 
 def _frames(clip: Clip, selection: Selection, p: Mapping[str, Any]) -> tuple[int, int]:
     """First and last frame, counted from the clip's first key: of the keys or the time selected, else as the parameters say."""
-    rate, start = clip_rate(clip), clip.start_s
-    last_frame = max(int(np.floor((clip.end_s - start) * rate + 0.01)), 0)
-    low, high = bounds(selection)
-    picked = [clip.curves[c].times_s[chosen_keys(c, clip.curves[c], selection)] for c in selection.keys or ()]
-    times = np.concatenate(picked) if picked else np.zeros(0)
-    if len(times):
-        span = (float(times.min()), float(times.max()))
-    elif np.isfinite(low) or np.isfinite(high):
-        span = (max(low, start), min(high, clip.end_s))
-    else:
-        # Frames of the parameters are those of the time line.
-        first, last = p["first_frame"] / rate, p["last_frame"] / rate
-        span = (first, max(first, last))
-    found = [int(np.clip(round((t - start) * rate), 0, last_frame)) for t in span]
-    return found[0], found[1]
+    found = selected_frames(clip, selection)
+    if found is not None:
+        return found
+    # Frames of the parameters are those of the time line.
+    rate, first = clip_rate(clip), p["first_frame"]
+    return nearest_frame(clip, first / rate), nearest_frame(clip, max(first, p["last_frame"]) / rate)
 
 
 def _joint(clip: Clip, skeleton: Skeleton, selection: Selection, name: str) -> str:
@@ -80,15 +71,18 @@ def _run_bend_path(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapp
     if _nothing(clip, selection):
         return Operated(clip)
     said: list[str] = []
+    chosen = None if p["close"] else selected_frames(clip, selection)  # a loop is closed as a whole
 
     def change(motion: Motion) -> Motion:
         roles = found_roles(skeleton)
         old = extract_path(motion, skeleton, roles=roles)
-        path = scale_path(old, p["stride"])
-        if path.lengths_m[-1] < 0.05:
+        first, last = (0, motion.frame_count - 1) if chosen is None else chosen
+        way = old.lengths_m
+        if way[last] - way[first] < 0.05:
             said.append("it stays where it is: there is no path to bend")
             return motion
-        path = close_path(path) if p["close"] else bend_path(path, np.radians(p["angle_deg"]))
+        path = stretch_path(old, p["stride"], first, last)
+        path = close_path(path) if p["close"] else bend_path(path, np.radians(p["angle_deg"]), first, last)
         done = put_on_path(motion, skeleton, path, old=old, roles=roles, plant=p["plant"])
         said.append(f"{path.lengths_m[-1]:.2f} m, turning by {np.degrees(path.turning_rad):.0f}°")
         return done.motion

@@ -10,10 +10,21 @@ import numpy as np
 from keypose.arrays import Array, Floats
 from keypose.editing.keys import delete_keys, insert_keys, merge_keys
 from keypose.editing.modes import set_interpolation
-from keypose.editing.selection import SAME_TIME_S
+from keypose.editing.selection import SAME_TIME_S, Selection, bounds, chosen_keys
 from keypose.evaluate import bake
 from keypose.math import quat
-from keypose.model import ROTATION_ONLY, Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
+from keypose.model import (
+    ROTATION_ONLY,
+    Channel,
+    Clip,
+    Curve,
+    CurveKind,
+    Interpolation,
+    Motion,
+    Pose,
+    Property,
+    Skeleton,
+)
 
 FALLBACK_RATE_HZ = 30.0
 """Frames a second of a clip that does not say its own."""
@@ -22,6 +33,45 @@ FALLBACK_RATE_HZ = 30.0
 def clip_rate(clip: Clip) -> float:
     """The frames a second at which a clip's frames are counted."""
     return clip.rate_hz or FALLBACK_RATE_HZ
+
+
+def selected_frames(clip: Clip, selection: Selection) -> tuple[int, int] | None:
+    """First and last frame, counted from the clip's first key, of the selected keys or time; None where neither is selected."""
+    low, high = bounds(selection)
+    picked = [clip.curves[c].times_s[chosen_keys(c, clip.curves[c], selection)] for c in selection.keys or ()]
+    times = np.concatenate(picked) if picked else np.zeros(0)
+    if len(times):
+        return nearest_frame(clip, float(times.min())), nearest_frame(clip, float(times.max()))
+    if np.isfinite(low) or np.isfinite(high):
+        return nearest_frame(clip, max(low, clip.start_s)), nearest_frame(clip, min(high, clip.end_s))
+    return None
+
+
+def nearest_frame(clip: Clip, time_s: float) -> int:
+    """The frame of a clip, counted from its first key, that is nearest to a time."""
+    rate, start = clip_rate(clip), clip.start_s
+    last_frame = max(int(np.floor((clip.end_s - start) * rate + 0.01)), 0)
+    return int(np.clip(round((time_s - start) * rate), 0, last_frame))
+
+
+def only_between(before: Motion, after: Motion, first: int, last: int, ease_s: float) -> Motion:
+    """A changed motion from one frame to another, and what it was elsewhere; between them it goes over smoothly within ``ease_s``."""
+    frames = np.arange(before.frame_count)
+    away = np.maximum(np.maximum(first - frames, frames - last), 0) / max(ease_s * before.rate_hz, 1.0)
+    share = 1.0 - np.clip(away, 0.0, 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    old, new = before.pose.broadcast(), after.pose.broadcast()
+    weight = share[:, None, None].astype(np.asarray(old.rotations).dtype)
+
+    def mixed(a: Array, b: Array, between: Array) -> Array:
+        return np.where(weight == 0.0, a, np.where(weight == 1.0, b, between))
+
+    pose = Pose(
+        mixed(old.translations, new.translations, old.translations + weight * (new.translations - old.translations)),
+        mixed(old.rotations, new.rotations, quat.slerp(old.rotations, new.rotations, weight[..., 0])),
+        mixed(old.scales, new.scales, old.scales + weight * (new.scales - old.scales)),
+    )
+    return replace(after, pose=pose)
 
 
 def edit_frames(clip: Clip, skeleton: Skeleton, change: Callable[[Motion], Motion]) -> Clip:

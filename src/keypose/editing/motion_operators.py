@@ -14,7 +14,7 @@ from keypose.editing import moves as _moves
 from keypose.editing import planting as _planting
 from keypose.editing import squash as _squash
 from keypose.editing import stopmotion as _stopmotion
-from keypose.editing.framed import edit_frames
+from keypose.editing.framed import edit_frames, only_between, selected_frames
 from keypose.editing.operator_types import Operated, Operator, Parameter, count_keys, number
 from keypose.editing.reach import found_roles
 from keypose.editing.selection import Selection, chosen_channels
@@ -85,6 +85,7 @@ def _run_plant_feet(clip: Clip, skeleton: Skeleton, selection: Selection, p: Map
         p["height_m"], p["speed_m_s"], p["ground"], level_feet=p["level_feet"], hips=p["hips"], loop=p["loop"]
     )
     said: list[str] = []
+    chosen = selected_frames(clip, selection)
 
     def change(motion: Motion) -> Motion:
         done = _planting.plant_feet(motion, skeleton, roles, options=options)
@@ -93,7 +94,7 @@ def _run_plant_feet(clip: Clip, skeleton: Skeleton, selection: Selection, p: Map
             f"a foot stands in {share:.0%} of the frames; feet moved {100 * done.moved_m.max(initial=0.0):.1f} cm at most, "
             f"hips {100 * done.hips_m.max(initial=0.0):.1f} cm; ground: {done.footing.ground.describe()}"
         )
-        return done.motion
+        return done.motion if chosen is None else only_between(motion, done.motion, *chosen, options.blend_s)
 
     return Operated(edit_frames(clip, skeleton, change), said[0])
 

@@ -159,6 +159,22 @@ def scale_path(path: GroundPath, factor: float, frame: int = 0) -> GroundPath:
     return replace(path, points=pivot + factor * (path.points - pivot))
 
 
+def stretch_path(path: GroundPath, factor: float, first: int = 0, last: int | None = None) -> GroundPath:
+    """A path with longer or shorter steps between two frames, in the same time; what follows goes on from there.
+
+    Raises:
+        ShapeError: where the factor is not positive, or the frames are not there or do not rise.
+    """
+    end = len(path.points) - 1 if last is None else last
+    if not (np.isfinite(factor) and factor > 0):
+        raise ShapeError(f"factor: expected a positive number, got {factor}")
+    if not 0 <= first < end < len(path.points):
+        raise ShapeError(f"first, last: expected rising frames up to {len(path.points) - 1}, got {first} and {end}")
+    steps = np.diff(path.points, axis=0)
+    steps[first:end] *= factor
+    return replace(path, points=path.points[0] + _stepped(steps))
+
+
 def follow_points(path: GroundPath, points: Any, *, closed: bool = False, stretch: bool = False) -> GroundPath:
     """The path along a smooth curve through drawn points, gone at the same speeds.
 

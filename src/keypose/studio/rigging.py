@@ -37,6 +37,7 @@ from keypose.model import (
 from keypose.project.commands import Command, RemoveRig, SetClip, SetRig, SetTimeline, import_clip
 from keypose.project.document import foreign_joints
 from keypose.rig import (
+    RigFit,
     auto_rig,
     bake_rig_timeline,
     fit_controls,
@@ -319,10 +320,18 @@ def _joints(document: Document, rig: Rig, who: Character, line: Timeline) -> Mot
 def _fitted(document: Document, rig: Rig, who: Character, line: Timeline, said: list[str]) -> list[Command]:
     motion = _joints(document, rig, who, line)
     fit = fit_controls(rig, who.skeleton, motion)
-    said.append(
-        f"joints within {1000 * fit.error_m:.2g} mm and {fit.error_deg:.2g} degrees (IK {1000 * fit.ik_error_m:.2g} mm)"
-    )
+    said.append(_closeness(fit))
     return _performing(document, fit.clip, line, f"{who.name} controls")
+
+
+def _closeness(fit: RigFit) -> str:
+    """How near joints are to what they were, for people; nobody sees less than a hundredth of a millimetre."""
+    if max(fit.error_m, fit.ik_error_m) < 1e-5 and fit.error_deg < 1e-3:
+        return "the motion stays as it was, by FK and by IK"
+    by_ik = "" if fit.ik_error_m < 1e-5 else f"; by IK within {1000 * fit.ik_error_m:.2f} mm"
+    if fit.error_m < 1e-5 and fit.error_deg < 1e-3:
+        return f"the motion stays as it was by FK{by_ik}"
+    return f"joints stay within {1000 * fit.error_m:.2f} mm and {fit.error_deg:.2f}°{by_ik}"
 
 
 def _baked(document: Document, rig: Rig, said: list[str]) -> list[Command]:

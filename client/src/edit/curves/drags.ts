@@ -380,6 +380,38 @@ export class PanDrag implements Drag {
   end(): void {}
 }
 
+/** Selected time along the ruler; a press that goes nowhere selects none. */
+export class SpanDrag implements Drag {
+  readonly cursor = "ew-resize";
+  private readonly before: readonly [number, number] | null;
+  private readonly from: number;
+
+  constructor(
+    private readonly session: CurveSession,
+    private readonly pressed: number,
+  ) {
+    this.before = session.editor.span;
+    this.from = this.timeAt(pressed, false);
+  }
+
+  private timeAt(x: number, alt: boolean): number {
+    const { view, editor, rate } = this.session, time = view.toTime(x);
+    return editor.snap !== alt ? Math.round(time * rate) / rate : time;
+  }
+
+  move(x: number, y: number, { alt }: Modifiers): void {
+    const { session, from } = this, to = this.timeAt(x, alt);
+    session.editor.span = Math.abs(x - this.pressed) < 4 || to === from ? null : [Math.min(from, to), Math.max(from, to)];
+    const frame = (time: number) => String(+(time * session.rate).toFixed(2));
+    session.readout = session.editor.span && { x, y: y + 18, text: `frames ${session.editor.span.map(frame).join(" to ")}` };
+  }
+
+  end(keep: boolean): void {
+    this.session.readout = null;
+    if (!keep) this.session.editor.span = this.before;
+  }
+}
+
 /** The playhead, an end of the range or a marker along the ruler. */
 export class TimeDrag implements Drag {
   readonly cursor = "ew-resize";

@@ -51,7 +51,7 @@ export class Picture {
     // while keys are dragged the backdrop holds what stays, and their curves from before
     const resting = drag?.base ? shapes.map((s) => (drag.base!.has(s.line.channel) ? { ...s, curve: drag.base!.get(s.line.channel)! } : s)) : shapes;
     const interval = drag?.interval ?? null;
-    const facts: unknown[] = ["graph", colors, degrees, dragged, interval !== null, ruler.rate, ruler.start, ruler.end, session.normalised, editor.locked, editor.muted, dragged ? null : editor.selection, ...view.state()];
+    const facts: unknown[] = ["graph", colors, degrees, dragged, interval !== null, ruler.rate, ruler.start, ruler.end, ruler.span, session.normalised, editor.locked, editor.muted, dragged ? null : editor.selection, ...view.state()];
     for (const shape of resting) facts.push(shape.curve, shape.line, shape.factor, shape.offset);
     this.still(facts, (c) => {
       c.fillStyle = colors.ground;
@@ -88,7 +88,7 @@ export class Picture {
     const ruler = session.ruler(), curves = session.curves(), scene = session.dope(curves);
     const moving = drag?.base;
     const touched = (row: { channels: readonly string[] }) => moving !== undefined && row.channels.some((key) => moving.has(key));
-    const facts: unknown[] = ["dope", colors, scene.rows, scene.scroll, scene.hoveredRow, scene.clipFrom, scene.clipTo, scene.tint, ruler.rate, ruler.start, ruler.end, editor.locked, editor.muted, moving, moving ? null : scene.selection, ...view.state()];
+    const facts: unknown[] = ["dope", colors, scene.rows, scene.scroll, scene.hoveredRow, scene.clipFrom, scene.clipTo, scene.tint, ruler.rate, ruler.start, ruler.end, ruler.span, editor.locked, editor.muted, moving, moving ? null : scene.selection, ...view.state()];
     for (const curve of curves.values()) if (!moving?.has(curve.channel.key)) facts.push(curve);
     this.still(facts, (c) => {
       c.fillStyle = colors.ground;

@@ -15,12 +15,14 @@ export interface RulerState {
   readonly end: number;
   readonly time: number;
   readonly markers: readonly EditMarker[];
+  /** Selected time. */
+  readonly span: readonly [number, number] | null;
   /** Timeline seconds of the clip and how it is called; null where its placement says nothing. */
   readonly clip: { readonly from: number; readonly to: number; readonly hue: string } | null;
 }
 
-/** Frame lines over the plot, and a veil on what lies outside the range. */
-export function drawFrames(c: Context, view: View, colors: CurveColors, { rate, start, end }: RulerState): void {
+/** Frame lines over the plot, a veil on what lies outside the range, and the selected time. */
+export function drawFrames(c: Context, view: View, colors: CurveColors, { rate, start, end, span }: RulerState): void {
   const { label, tick } = frameSteps(view.perSecond / rate);
   const first = Math.ceil((view.left * rate) / tick) * tick, last = view.toTime(view.width) * rate;
   c.lineWidth = 1;
@@ -41,11 +43,19 @@ export function drawFrames(c: Context, view: View, colors: CurveColors, { rate, 
   const x0 = Math.min(view.width, view.toX(start)), x1 = Math.max(0, view.toX(end));
   if (x0 > 0) c.fillRect(0, view.top, x0, view.plot);
   if (x1 < view.width) c.fillRect(x1, view.top, view.width - x1, view.plot);
+  if (span) {
+    const [a, b] = span.map((time) => view.toX(time));
+    c.fillStyle = c.strokeStyle = colors.accent;
+    c.globalAlpha = colors.dark ? 0.09 : 0.1;
+    c.fillRect(a, view.top, b - a, view.plot);
+    c.globalAlpha = 0.55;
+    for (const x of [a, b]) c.fillRect(Math.round(x), view.top, 1, view.plot);
+  }
   c.globalAlpha = 1;
 }
 
 export function drawRuler(c: Context, view: View, colors: CurveColors, state: RulerState): void {
-  const { rate, start, end, time, markers, clip } = state;
+  const { rate, start, end, time, markers, span, clip } = state;
   c.fillStyle = colors.panel;
   c.fillRect(0, 0, view.width, view.top);
   const x0 = view.toX(start), x1 = view.toX(end);
@@ -58,6 +68,12 @@ export function drawRuler(c: Context, view: View, colors: CurveColors, state: Ru
     c.beginPath();
     c.roundRect(Math.min(a, b), RULER - 3, Math.max(3, Math.abs(b - a)), 2, 1);
     c.fill();
+    c.globalAlpha = 1;
+  }
+  if (span) {
+    c.fillStyle = colors.accent;
+    c.globalAlpha = colors.dark ? 0.34 : 0.26;
+    c.fillRect(view.toX(span[0]), 0, view.toX(span[1]) - view.toX(span[0]), RULER - 1);
     c.globalAlpha = 1;
   }
   c.strokeStyle = colors.line;

@@ -153,6 +153,7 @@ export class CurveSession {
       end: timeline?.end ?? 0,
       time: editor.time,
       markers: timeline?.markers ?? [],
+      span: editor.span,
       clip: ends && {
         from: (ends[0] - view.clip.shift) / view.clip.speed,
         to: (ends[1] - view.clip.shift) / view.clip.speed,

@@ -2,7 +2,7 @@
 
 import type { Command } from "../commands";
 import { editor } from "../editor.svelte";
-import { activeModule, resetControls, selectAllControls, toggleControls, toggleSwitch } from "./actions";
+import { activeModule, keyHeld, resetControls, selectAllControls, toggleControls, toggleSwitch, walk } from "./actions";
 import { rigging } from "./rigging.svelte";
 
 export function rigCommands(): Command[] {
@@ -24,7 +24,10 @@ export function rigCommands(): Command[] {
     command("remove", "Remove the rig", "", () => void rigging.remove(name()), rigged),
     command("switch", "FK to IK or back, without a jump", "Shift+K", toggleSwitch, () => rigged() && activeModule() !== null),
     command("reset", "Controls back to rest", "Alt+Shift+R", resetControls, rigged),
-    command("all", "Select all controls", "", selectAllControls, rigged),
+    command("key", "Key what was changed by hand", "K", keyHeld, () => rigged() && editor.posed.size > 0),
+    command("all", "Select all controls", "Alt+Shift+A", selectAllControls, rigged),
+    command("up", "Select the control above", "Alt+ArrowUp", () => walk("up"), rigged),
+    command("down", "Select the controls below", "Alt+ArrowDown", () => walk("down"), rigged),
     command("show", "Show controls", "Shift+C", toggleControls, rigged),
   ];
 }

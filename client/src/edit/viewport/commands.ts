@@ -53,7 +53,7 @@ export function viewCommands(editor: Editor, stage: StageEditor): Command[] {
     command("clear.translation", "Clear location", "Pose", "Alt+G", "", () => toRest(editor, stage, ["translation"]), some),
     command("clear.scale", "Clear scale", "Pose", "Alt+S", "", () => toRest(editor, stage, ["scale"]), some),
     command("key", "Key what was changed by hand", "Pose", "K", "", () => keyShown(editor, stage), () => some() || editor.posed.size > 0),
-    command("drop", "Forget what is posed and not keyed", "Pose", "", "", () => dropPosed(editor, stage), () => editor.posed.size > 0),
+    command("drop", "Forget what is posed and not keyed", "Pose", "", "", () => editor.dropPosed(), () => editor.posed.size > 0),
     command("copy", "Copy pose", "Pose", "Ctrl+C", "Ctrl+C", () => copyPose(editor)),
     command("paste", "Paste pose", "Pose", "Ctrl+V", "Ctrl+V", () => pastePose(editor, false), () => present() && clipboard.pose !== null),
     command("paste.mirrored", "Paste pose mirrored", "Pose", "Ctrl+Shift+V", "Ctrl+Shift+V", () => pastePose(editor, true), () => present() && clipboard.pose !== null),
@@ -147,11 +147,6 @@ export function keyShown(editor: Editor, stage: StageEditor): void {
   for (const curve of editor.clip?.curves.values() ?? [])
     if (curve.channel.property === "scale" && joints.some((j) => rig.names[j] === curve.channel.target)) properties.add("scale");
   editor.insertKeys(joints, [...properties], numbers);
-}
-
-function dropPosed(editor: Editor, stage: StageEditor): void {
-  editor.posed = new Map();
-  stage.view.invalidatePose();
 }
 
 function flip(editor: Editor): void {
