@@ -126,18 +126,19 @@ def test_ten_thousand_unreachable_ones_settle_without_jitter(
     count = 10_000
     away = np.random.default_rng(8).normal(size=(count, body.joint_count, 3))
     places = away / np.linalg.norm(away, axis=-1, keepdims=True) * 3.0  # all ends in all directions
-    found = solve_pose(body, rest_of(body), reach(places, roles), limits=limits, options=SolveOptions(iterations=300))
+    found = solve_pose(body, rest_of(body), reach(places, roles), limits=limits, options=SolveOptions(iterations=1000))
     assert not found.reached.any()
-    assert found.converged.mean() > 0.98
+    assert found.converged.all(), (~found.converged).sum()
+    assert (np.quantile(found.iterations, [0.5, 0.95, 0.99, 0.999]) < (40, 100, 200, 500)).all()
     assert worst_violation(body, limits, found.pose) < 1e-6
-    # In a hundred steps more, hardly a task of a settled pose comes closer, or goes further, at all.
+    # In a hundred steps more, no task of a settled pose comes closer, or goes further, by what anyone could see.
     again = solve_pose(
         body, found.pose, reach(places, roles), limits=limits,
         options=SolveOptions(settled_rad=1e-15, still_m=1e-15),
     )  # fmt: skip
     assert (again.cost <= found.cost * (1.0 + 1e-12)).all()
     moved = np.abs(left_of(again) - left_of(found)).max(axis=1)
-    assert (np.quantile(moved[found.converged], [0.95, 0.99, 1.0]) < (1e-7, 1e-6, 1e-4)).all()
+    assert (np.quantile(moved, [0.95, 0.99, 1.0]) < (1e-7, 1e-6, 1e-5)).all()
 
 
 def test_the_cost_falls_with_every_step(

@@ -26,7 +26,7 @@ from keypose.ik import (
     limit_violation,
 )
 from keypose.ik import fullbody_dense as dense
-from keypose.ik.fullbody_limits import FREE, HELD, bounds_met, edge_of_cone
+from keypose.ik.fullbody_limits import FREE, HELD, edge_of_cone, find_bounds
 from keypose.ik.fullbody_problem import Problem, make_problem
 from keypose.ik.limits import swing_axes
 from keypose.math import quat
@@ -124,7 +124,8 @@ def test_bounds_are_known_with_their_directions(name: str) -> None:
     home = random_rotations(rng, 200)
     rotations = quat.multiply(home, quat.from_rotation_vector(rng.normal(size=(200, 3))))
     rotations = clamp_rotation(limit, rotations, home)
-    directions, sides = bounds_met(limit, rotations, home)
+    met = find_bounds(limit, rotations, home)
+    directions, sides = met.directions, met.sides
     assert (sides != FREE).any(axis=1).mean() > 0.5
 
     def broken(n: int, way: np.ndarray) -> float:
@@ -143,6 +144,31 @@ def test_bounds_are_known_with_their_directions(name: str) -> None:
     assert not slow or np.quantile(slow, 0.95) < 1e-2
 
 
+@pytest.mark.parametrize("name", LIMITS)
+def test_bounds_are_as_far_as_they_are(name: str) -> None:
+    """From a little inside, the room along the direction of a bound leads to that bound, but for how it is curved."""
+    rng, limit, small = np.random.default_rng(7), LIMITS[name], 1e-3
+    home = random_rotations(rng, 400)
+    rotations = quat.multiply(home, quat.from_rotation_vector(rng.normal(size=(400, 3))))
+    rotations = clamp_rotation(limit, rotations, home)
+    met = find_bounds(limit, rotations, home)
+    seen = 0
+    for k in range(3):
+        at = np.flatnonzero(
+            (np.abs(met.sides[:, k]) == 1) & ((met.sides != FREE).sum(axis=1) == 1 + 2 * (name == "hinge"))
+        )
+        sign = met.sides[at, k].astype(float)[:, None]
+        ways = sign * met.directions[at, k] / np.linalg.norm(met.directions[at, k], axis=-1, keepdims=True)
+        inside = quat.multiply(quat.from_rotation_vector(-small * ways), rotations[at])
+        here = find_bounds(limit, inside, home[at])
+        room = here.room_to(met.sides[at])[:, k]
+        np.testing.assert_allclose(room, small, rtol=0.02)
+        np.testing.assert_array_equal(here.room_to(np.full_like(met.sides[at], FREE)), 0.0)
+        assert (here.up >= 0).all() and (here.down >= 0).all()
+        seen += len(at)
+    assert seen > 50
+
+
 def test_edges_of_cones_are_as_curved_as_they_are() -> None:
     """What leaves a cone along its edge, and along with the turn about the axis, by differences of what is bounded."""
     rng, limit, small = np.random.default_rng(6), LIMITS["cone elsewhere"], 1e-4
@@ -150,7 +176,8 @@ def test_edges_of_cones_are_as_curved_as_they_are() -> None:
     home, center = random_rotations(rng, 300), np.asarray(limit.center)
     rotations = quat.multiply(home, quat.from_rotation_vector(1.5 * rng.normal(size=(300, 3))))
     rotations = clamp_rotation(limit, rotations, home)
-    directions, sides = bounds_met(limit, rotations, home)
+    met = find_bounds(limit, rotations, home)
+    directions, sides = met.directions, met.sides
     at = sides[:, 1] != FREE
     assert at.sum() > 50
     home, rotations, normal = home[at], rotations[at], directions[at, 1]

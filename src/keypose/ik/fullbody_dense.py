@@ -6,13 +6,13 @@ motions, turning and moving at the joint's place; its Jacobian for a joint above
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from keypose.arrays import Array, Floats, Ints
-from keypose.ik.fullbody_limits import FREE, bounds_met, edge_of_cone, pulls_of
-from keypose.ik.fullbody_problem import Problem, Term
+from keypose.ik.fullbody_limits import FREE, LOW, Bounds, edge_of_cone, find_bounds, pulls_of
+from keypose.ik.fullbody_problem import Limited, Problem, Term
 from keypose.ik.limits import Cone, clamp_rotation
 from keypose.ik.tasks import (
     CenterOfMassTask,
@@ -30,6 +30,7 @@ LEAST_FACTOR, MOST_FACTOR = 1e-8, 1e9  # of the cost
 SLOW = 0.5  # a step that leaves more than this share of the cost calls for curvature
 PASSES = 2
 SAME = 0.03  # radians between directions that are one
+NEAR = 0.05  # radians from a bound within which it is met where a joint stands, not where a step ended
 ROUNDING = 1e-15
 CALM = 3  # steps in a row that change nothing
 FIRM = 1e4  # times the least damping: steps damped more say nothing about what is left to gain
@@ -101,8 +102,8 @@ def rows_of(
         miss = places[:, joint] + arm - term.target
         return [Rows(miss, term.weight[:, None], ((joint, _crossing(arm), eye),))]
     if term.kind is OrientationTask:
-        off = _turn_between(term.target, turned[:, joint])
-        return [Rows(off, term.weight[:, None], ((joint, _inverse_left(off), zero),), angular=True)]
+        off = turn_between(term.target, turned[:, joint])
+        return [Rows(off, term.weight[:, None], ((joint, inverse_left(off), zero),), angular=True)]
     if term.kind is LookAtTask:
         arm = quat.rotate(turned[:, joint], term.offset)
         axis = quat.rotate(turned[:, joint], np.broadcast_to(term.axis, arm.shape))
@@ -138,8 +139,8 @@ def _relative_rows(term: Term, turned: Floats, places: Floats) -> list[Rows]:
         ours, theirs = (joint, back @ _crossing(arm), back), (other, -back @ _crossing(way), -back)
         found.append(Rows(miss, term.weight[:, None], (ours, theirs)))
     if term.turn is not None:
-        off = _turn_between(term.turn, quat.multiply(quat.conjugate(turned[:, other]), turned[:, joint]))
-        by, zero = _inverse_left(off) @ back, np.zeros((len(off), 3, 3))
+        off = turn_between(term.turn, quat.multiply(quat.conjugate(turned[:, other]), turned[:, joint]))
+        by, zero = inverse_left(off) @ back, np.zeros((len(off), 3, 3))
         found.append(Rows(off, term.turn_weight[:, None], ((joint, by, zero), (other, -by, zero)), angular=True))
     return found
 
@@ -157,12 +158,12 @@ def _mass_rows(problem: Problem, term: Term, turned: Floats, places: Floats) -> 
 
 
 def _prior_rows(problem: Problem, term: Term, rotations: Floats, shift: Floats, turned: Floats) -> list[Rows]:
-    off = _turn_between(term.target, rotations)
+    off = turn_between(term.target, rotations)
     count, joints = off.shape[:2]
     above = np.empty((count, joints, 3, 3))
     for joint, parent in enumerate(problem.parents):
         above[:, joint] = np.eye(3) if parent < 0 else quat.to_matrix(quat.conjugate(turned[:, parent]))
-    blocks = _inverse_left(off.reshape(-1, 3)).reshape(above.shape) @ above
+    blocks = inverse_left(off.reshape(-1, 3)).reshape(above.shape) @ above
     used = np.flatnonzero((term.by_joint > 0) & (problem.free > 0))
     by_joint = np.zeros((count, len(used), 3, joints, 3))
     for n, joint in enumerate(used):
@@ -257,14 +258,17 @@ def step(
     gradient = np.einsum("nrc,nr->nc", matrix, weighted)
     hessian = np.swapaxes(matrix, 1, 2) @ matrix
     hessian += state.curved[left, None, None] * curvature(part, turned, places)
-    freedom = _freedom(part, rotations, turned, gradient)
-    hessian += state.curved[left, None, None] * _edges(part, rotations, turned, gradient)
+    freedom = freedoms(part, rotations, turned, gradient)
+    bend = state.curved[left, None, None]
+    hessian += bend * _edges(part, rotations, turned, gradient)
     forced, damping = np.zeros_like(gradient), np.maximum(state.damping[left] * old, part.least_damping)
     change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
     new, moved = apply(part, rotations, shift, turned, change)
     for _ in range(1, PASSES):
-        if not _stop_at_bounds(part, rotations, turned, change, new, freedom, forced):
+        stiffened = stop_at_bounds(part, rotations, turned, gradient, change, new, sound, freedom, forced)
+        if stiffened is None:
             break
+        hessian += bend * stiffened
         change, promised, sound = _damped_step(hessian, gradient, freedom, damping, forced)
         new, moved = apply(part, rotations, shift, turned, change)
     new_rows = evaluate(part, new, moved)[2]
@@ -348,32 +352,57 @@ def _damped_step(
     return change, promised, np.linalg.eigvalsh(system)[:, 0] > 0
 
 
-def _stop_at_bounds(
-    problem: Problem, rotations: Floats, turned: Floats, change: Floats, new: Floats, freedom: Floats, forced: Floats
-) -> bool:
-    """Send joints that a step carried over their bounds just there, free along them; whether there are any."""
-    found = False
+def stop_at_bounds(
+    problem: Problem,
+    rotations: Floats,
+    turned: Floats,
+    gradient: Floats,
+    change: Floats,
+    new: Floats,
+    sound: Array,
+    freedom: Floats,
+    forced: Floats,
+) -> Floats | None:
+    """Send joints that a step carried over their bounds just there, free along them; what that adds to the Hessian.
+
+    Close to a bound that is curved, where a step came back inside says little of where it went out: such bounds are taken
+    as flat and curved as they are where the joint stands. A step that is none tells nothing of bounds. None where no joint is sent anywhere.
+    """
+    added: Floats | None = None
     for one in problem.limited:
-        joint, parent = one.joint, int(problem.parents[one.joint])
+        joint = one.joint
+        own = slice(3 * joint, 3 * joint + 3)
         turn = quat.shortest(quat.multiply(new[:, joint], quat.conjugate(rotations[:, joint])))
-        went = 2.0 * turn[:, 1:] / np.maximum(turn[:, :1], 1e-6)
-        if parent >= 0:
-            went = quat.rotate(turned[:, parent], went)
-        off = np.linalg.norm(went - change[:, 3 * joint : 3 * joint + 3], axis=-1)
-        over = np.flatnonzero(off > 0.1 * np.linalg.norm(went, axis=-1) + 1e-6)
+        went = _from_parent(problem, turned, joint, 2.0 * turn[:, 1:] / np.maximum(turn[:, :1], 1e-6))
+        off = np.linalg.norm(went - change[:, own], axis=-1)
+        over = np.flatnonzero(sound & (off > 0.1 * np.linalg.norm(went, axis=-1) + 1e-6))
         if not len(over):
             continue
-        found = True
-        directions, sides = bounds_met(one.limit, new[over, joint], one.home[over])
-        if parent >= 0:
-            directions = quat.rotate(turned[over, parent, None], directions)
-        freedom[over, joint] = _complement(freedom[over, joint], directions * (sides != FREE)[..., None])
-        away = went[over] - np.einsum("nij,nj->ni", freedom[over, joint], went[over])
-        forced[over, 3 * joint : 3 * joint + 3] = away
-    return found
+        if added is None:
+            added = np.zeros((len(rotations), gradient.shape[1], gradient.shape[1]))
+        met, here = (_bounds_of(problem, one, r, turned, over) for r in (new, rotations))
+        room = here.room_to(met.sides)
+        near = (room <= NEAR).all(axis=1)
+        far = over[~near]
+        ways = met.directions * (met.sides != FREE)[..., None]
+        freedom[far, joint] = _complement(freedom[far, joint], ways[~near])
+        forced[far, own] = went[far] - np.einsum("nij,nj->ni", freedom[far, joint], went[far])
+        close = over[near]
+        for m in range(3):
+            ways = here.directions[near, m] * np.where(met.sides[near, m] == LOW, -1.0, 1.0)[:, None]
+            ways = _unit(ways * (met.sides[near, m] != FREE)[:, None])
+            across, length = _across(freedom[close, joint], ways)
+            left = room[near, m] - np.sum(ways * forced[close, own], axis=-1)
+            forced[close, own] += across * (left / np.where(length > SAME, length, np.inf))[:, None]
+            freedom[close, joint] = _complement(freedom[close, joint], ways[:, None])
+        # Hessians have the edges already at which joints stand.
+        either = np.where(met.sides == FREE, here.sides, met.sides)[near]
+        added[close, own, own] = _edge(problem, one, rotations, turned, gradient, close, either)
+        added[close, own, own] -= _edge(problem, one, rotations, turned, gradient, close, here.sides[near])
+    return added
 
 
-def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
+def freedoms(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
     """What each joint may do now (N, J + 1, 3, 3): the projection onto turns that no bound is in the way of."""
     count, joints = rotations.shape[:2]
     free = np.zeros((count, joints + 1, 3, 3))
@@ -381,52 +410,79 @@ def _freedom(problem: Problem, rotations: Floats, turned: Floats, gradient: Floa
     free[:, joints] = np.diag(problem.ways) if problem.mover >= 0 else 0.0
     if problem.upright >= 0:
         free[:, problem.upright] = np.diag([0.0, 1.0, 0.0])
+    every = np.arange(count)
     for one in problem.limited:
-        parent = int(problem.parents[one.joint])
-        directions, sides = bounds_met(one.limit, rotations[:, one.joint], one.home)
-        if parent >= 0:
-            directions = quat.rotate(turned[:, parent, None], directions)
-        blocked, _ = pulls_of(one.limit, directions, sides, -gradient[:, 3 * one.joint : 3 * one.joint + 3])
-        free[:, one.joint] = _complement(free[:, one.joint], directions * blocked[..., None])
+        here = _bounds_of(problem, one, rotations, turned, every)
+        pull = -gradient[:, 3 * one.joint : 3 * one.joint + 3]
+        blocked, _ = pulls_of(one.limit, here.directions, here.sides, pull)
+        free[:, one.joint] = _complement(free[:, one.joint], here.directions * blocked[..., None])
     return free
 
 
 def _edges(problem: Problem, rotations: Floats, turned: Floats, gradient: Floats) -> Floats:
-    """How joints that are pulled over the edges of their cones stiffen: blocks of the Hessian (N, C, C).
+    """How joints that are pulled over the edges of their cones stiffen: blocks of the Hessian (N, C, C)."""
+    out = np.zeros((len(rotations), gradient.shape[1], gradient.shape[1]))
+    every = np.arange(len(rotations))
+    for one in problem.limited:
+        own = slice(3 * one.joint, 3 * one.joint + 3)
+        sides = _bounds_of(problem, one, rotations, turned, every).sides
+        out[:, own, own] = _edge(problem, one, rotations, turned, gradient, every, sides)
+    return out
+
+
+def _edge(
+    problem: Problem, one: Limited, rotations: Floats, turned: Floats, gradient: Floats, rows: Ints, sides: Ints
+) -> Floats:
+    """How a joint that is pulled over the edge of its cone stiffens: its block of the Hessian (n, 3, 3).
 
     A turn along the edge leaves the cone by what the edge is curved, and by half of what the joint turns about its axis
     meanwhile; coming back inside costs as much as it is pulled outwards.
     """
-    out = np.zeros((len(rotations), gradient.shape[1], gradient.shape[1]))
-    for one in problem.limited:
-        limit, joint, parent = one.limit, one.joint, int(problem.parents[one.joint])
-        if not isinstance(limit, Cone):
-            continue
-        directions, sides = bounds_met(limit, rotations[:, joint], one.home)
-        if parent >= 0:
-            directions = quat.rotate(turned[:, parent, None], directions)
-        own, normal = slice(3 * joint, 3 * joint + 3), directions[:, 1]
-        pull = pulls_of(limit, directions, sides, -gradient[:, own])[1][:, 1, None, None]
-        center = np.broadcast_to(np.asarray(limit.center, np.float64), one.home.shape)
-        turn = quat.multiply(quat.conjugate(quat.multiply(one.home, center)), rotations[:, joint])
-        axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
-        axis = quat.rotate(turned[:, joint], np.broadcast_to(axis, normal.shape))
-        along = np.cross(axis, normal)
-        mixed = along[:, :, None] * axis[:, None, :]
-        bent = edge_of_cone(limit, turn)[:, None, None] * along[:, :, None] * along[:, None, :]
-        out[:, own, own] = pull * (bent - 0.5 * (mixed + np.swapaxes(mixed, 1, 2)))
-    return out
+    limit, joint = one.limit, one.joint
+    if not isinstance(limit, Cone):
+        return np.zeros((len(rows), 3, 3))
+    directions = _bounds_of(problem, one, rotations, turned, rows).directions
+    normal = directions[:, 1]
+    pull = pulls_of(limit, directions, sides, -gradient[rows, 3 * joint : 3 * joint + 3])[1][:, 1, None, None]
+    center = np.broadcast_to(np.asarray(limit.center, np.float64), (len(rows), 4))
+    turn = quat.multiply(quat.conjugate(quat.multiply(one.home[rows], center)), rotations[rows, joint])
+    axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
+    axis = quat.rotate(turned[rows, joint], np.broadcast_to(axis, normal.shape))
+    along = np.cross(axis, normal)
+    mixed = along[:, :, None] * axis[:, None, :]
+    bent = edge_of_cone(limit, turn)[:, None, None] * along[:, :, None] * along[:, None, :]
+    return pull * (bent - 0.5 * (mixed + np.swapaxes(mixed, 1, 2)))
+
+
+def _bounds_of(problem: Problem, one: Limited, rotations: Floats, turned: Floats, rows: Ints) -> Bounds:
+    """The bounds of a joint of some solves, their directions in the model's space."""
+    found = find_bounds(one.limit, rotations[rows, one.joint], one.home[rows])
+    return replace(found, directions=_from_parent(problem, turned[rows], one.joint, found.directions))
+
+
+def _from_parent(problem: Problem, turned: Floats, joint: int, vectors: Floats) -> Floats:
+    """Vectors (N, ..., 3) of a joint's parent in the model's space."""
+    parent = int(problem.parents[joint])
+    if parent < 0:
+        return vectors
+    above = turned[:, parent]
+    return quat.rotate(above if vectors.ndim == 2 else above[:, None], vectors)
 
 
 def _complement(free: Floats, normals: Floats) -> Floats:
     """The projections (N, 3, 3) less the directions of normals (N, k, 3); zero ones, and ones nearly out already, do not
     count."""
     for normal in np.moveaxis(_unit(normals), 1, 0):
-        across = np.einsum("nij,nj->ni", free, normal)
-        length = np.linalg.norm(across, axis=-1)[:, None]
-        across = np.where(length > SAME, across / np.maximum(length, 1e-300), 0.0)
+        across, _ = _across(free, normal)
         free = free - across[:, :, None] * across[:, None, :]
     return free
+
+
+def _across(free: Floats, normal: Floats) -> tuple[Floats, Floats]:
+    """The unit directions (N, 3) of normals as far as they are free, 0 where that is hardly at all, and how far (N,)."""
+    across = np.einsum("nij,nj->ni", free, normal)
+    length = np.linalg.norm(across, axis=-1)
+    return np.where(length > SAME, 1.0, 0.0)[:, None] * across / np.maximum(length, 1e-300)[:, None], length
 
 
 def _unit(vectors: Floats) -> Floats:
@@ -473,12 +529,12 @@ def _cross_matrix(v: Floats) -> Floats:
     )
 
 
-def _turn_between(start: Floats, end: Floats) -> Floats:
+def turn_between(start: Floats, end: Floats) -> Floats:
     """The rotation vector that leads from one rotation to another, in the space above both; the shorter way."""
     return np.asarray(quat.to_rotation_vector(quat.shortest(quat.multiply(end, quat.conjugate(start)))))
 
 
-def _inverse_left(v: Floats) -> Floats:
+def inverse_left(v: Floats) -> Floats:
     """How a rotation vector (N, 3) follows a small turn from the left: the inverse left Jacobian of SO(3).
 
     Source: T. Barfoot, "State Estimation for Robotics" (2017), equation 7.77.

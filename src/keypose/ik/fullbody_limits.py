@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from keypose.arrays import Array, Floats, Ints
@@ -14,12 +16,27 @@ _WHOLE_TURN = 2.0 * np.pi - 1e-12
 FREE, HIGH, LOW, HELD = 0, 1, -1, 2
 
 
-def bounds_met(limit: JointLimit, rotation: Floats, home: Floats) -> tuple[Floats, Ints]:
-    """The bounds at which a joint stands.
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The bounds of N joints: what limits them are three numbers each, of which some are at an end of their ranges.
 
-    Shapes and units: local ``rotation`` and the rotation ``home`` that the limit counts from, both (N, 4). Returns directions
-    (N, 3, 3) in the parent's space, along which a small turn raises what is bounded, and (N, 3) which bound it is: `HIGH`,
-    `LOW`, `HELD` (it must not change at all) or `FREE`.
+    Shapes and units: ``directions`` (N, 3, 3) in the parent's space, along which a small turn raises what is bounded;
+    ``sides`` (N, 3) which end it is at: `HIGH`, `LOW`, `HELD` (it must not change at all) or `FREE`; ``up``, ``down`` (N, 3)
+    radians to turn along the direction, and against it, to either end, as far as the slope here tells.
+    """
+
+    directions: Floats
+    sides: Ints
+    up: Floats
+    down: Floats
+
+    def room_to(self, sides: Ints) -> Floats:
+        """Radians (N, 3) from here to the ends that ``sides`` (N, 3) name; 0 where none is named."""
+        return np.where(sides == LOW, self.down, np.where(sides == FREE, 0.0, self.up))
+
+
+def find_bounds(limit: JointLimit, rotation: Floats, home: Floats) -> Bounds:
+    """The bounds of a joint at local ``rotation`` and with the rotation ``home`` that its limit counts from, both (N, 4).
 
     Source: the gradients of the twist angle and of the swing vector of a quaternion, by the chain rule.
     """
@@ -33,28 +50,35 @@ def bounds_met(limit: JointLimit, rotation: Floats, home: Floats) -> tuple[Float
             return _of_cone(limit, turn, home)
 
 
+def _around(value: Floats, low: float, high: float) -> Floats:
+    """An angle from the middle of its range, on the circle."""
+    return (value - 0.5 * (low + high) + np.pi) % (2.0 * np.pi) - np.pi
+
+
 def _side(value: Floats, low: float, high: float) -> Ints:
     """Which end of its range an angle stands at, on the circle."""
     if high - low >= _WHOLE_TURN:
         return np.zeros(value.shape, np.int8)
     if high - low < 2.0 * AT_BOUND_RAD:
         return np.full(value.shape, HELD, np.int8)
-    middle = 0.5 * (low + high)
-    around = (value - middle + np.pi) % (2.0 * np.pi) - np.pi
-    found = np.where(around > high - middle - AT_BOUND_RAD, HIGH, FREE)
-    return np.where(around < low - middle + AT_BOUND_RAD, LOW, found).astype(np.int8)
+    around, half = _around(value, low, high), 0.5 * (high - low)
+    found = np.where(around > half - AT_BOUND_RAD, HIGH, FREE)
+    return np.where(around < AT_BOUND_RAD - half, LOW, found).astype(np.int8)
 
 
-def _of_hinge(limit: Hinge, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+def _of_hinge(limit: Hinge, turn: Floats, home: Floats) -> Bounds:
     axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
     angle = 2.0 * np.arctan2(turn[:, 1:] @ axis, turn[:, 0])
     basis = np.stack([axis, *_across(axis)])
     sides = np.full((len(turn), 3), HELD, np.int8)
     sides[:, 0] = _side(angle, limit.low_rad, limit.high_rad)
-    return _turned(home, np.broadcast_to(basis, (len(turn), 3, 3))), sides
+    around, half = _around(angle, limit.low_rad, limit.high_rad), 0.5 * (limit.high_rad - limit.low_rad)
+    up, down = np.zeros((len(turn), 3)), np.zeros((len(turn), 3))
+    up[:, 0], down[:, 0] = half - around, half + around
+    return Bounds(_turned(home, np.broadcast_to(basis, (len(turn), 3, 3))), sides, up, down)
 
 
-def _of_angles(limit: EulerRange, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+def _of_angles(limit: EulerRange, turn: Floats, home: Floats) -> Bounds:
     angles = allowed_angles(limit, turn)
     order, columns = limit.order, list(range(3))
     if order.islower():  # fixed axes are moving ones in the other order
@@ -66,14 +90,20 @@ def _of_angles(limit: EulerRange, turn: Floats, home: Floats) -> tuple[Floats, I
         rates.append(quat.rotate(before, along))
         before = quat.multiply(before, quat.from_axis_angle(along, angles[:, column]))
     volume = np.sum(np.cross(rates[0], rates[1]) * rates[2], axis=-1)
-    directions = np.empty((len(turn), 3, 3))
-    sides = np.empty((len(turn), 3), np.int8)
+    directions, sides = np.empty((len(turn), 3, 3)), np.empty((len(turn), 3), np.int8)
+    up, down = np.empty((len(turn), 3)), np.empty((len(turn), 3))
     for n, column in enumerate(columns):
         # The angle's own direction is across the axes of the other two; at gimbal lock there is none.
         directions[:, n] = np.cross(rates[(n + 1) % 3], rates[(n + 2) % 3]) * np.sign(volume)[:, None]
-        sides[:, n] = _side(angles[:, column], limit.low_rad[column], limit.high_rad[column])
+        low, high = limit.low_rad[column], limit.high_rad[column]
+        sides[:, n] = _side(angles[:, column], low, high)
+        around, slow = _around(angles[:, column], low, high), np.abs(volume)
+        slow = slow / np.maximum(
+            np.linalg.norm(directions[:, n], axis=-1), 1e-300
+        )  # radians of turn for one of the angle
+        up[:, n], down[:, n] = slow * (0.5 * (high - low) - around), slow * (0.5 * (high - low) + around)
     sides[np.linalg.norm(directions, axis=-1) < 1e-6] = FREE
-    return _turned(home, directions), sides
+    return Bounds(_turned(home, directions), sides, up, down)
 
 
 def allowed_angles(limit: EulerRange, turn: Floats) -> Floats:
@@ -91,7 +121,7 @@ def allowed_angles(limit: EulerRange, turn: Floats) -> Floats:
     return np.where((over[1] < over[0] - 1e-9)[:, None], second, first)
 
 
-def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
+def _of_cone(limit: Cone, turn: Floats, home: Floats) -> Bounds:
     axis = np.asarray(limit.axis, np.float64) / float(np.linalg.norm(limit.axis))
     center = np.broadcast_to(np.asarray(limit.center, np.float64), turn.shape)
     turn = quat.multiply(quat.conjugate(center), turn)
@@ -104,7 +134,11 @@ def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
     size = np.maximum(w[:, 0] ** 2 + along**2, 1e-300)[:, None]
     rate = (w * w * axis + w * np.cross(axis, v) + along[:, None] * v) / size
     directions[:, 0] = quat.rotate(turn, rate)
-    sides[:, 0] = _side(2.0 * np.arctan2(along, w[:, 0]), limit.twist_low_rad, limit.twist_high_rad)
+    twist, slow = 2.0 * np.arctan2(along, w[:, 0]), 1.0 / np.linalg.norm(rate, axis=-1)
+    sides[:, 0] = _side(twist, limit.twist_low_rad, limit.twist_high_rad)
+    around, half = _around(twist, limit.twist_low_rad, limit.twist_high_rad), limit.twist_high_rad - limit.twist_low_rad
+    up, down = np.zeros((len(turn), 3)), np.zeros((len(turn), 3))
+    up[:, 0], down[:, 0] = slow * (0.5 * half - around), slow * (0.5 * half + around)
     # Swing: the ellipse is a function of where the axis points.
     u, other = swing_axes(limit)
     a, b = limit.swings
@@ -120,16 +154,17 @@ def _of_cone(limit: Cone, turn: Floats, home: Floats) -> tuple[Floats, Ints]:
     gradient = slope[:, None] * about + turning[:, None] * np.cross(pointed, about)
     length = np.linalg.norm(gradient, axis=-1)
     directions[:, 1] = gradient / np.maximum(length, 1e-12)[:, None]
+    up[:, 1] = (1.0 - angle**2 * shape) / np.maximum(length, 1e-12)
     if max(a, b) < np.pi:
         reach = angle * np.sqrt(shape)
         sides[:, 1] = np.where((reach > 1.0 - AT_BOUND_RAD) & (length > 1e-9), HIGH, FREE)
-    return _turned(frame, directions), sides
+    return Bounds(_turned(frame, directions), sides, up, down)
 
 
 def pulls_of(limit: JointLimit, directions: Floats, sides: Ints, pull: Floats) -> tuple[Array, Floats]:
     """Which bounds are in the way of a joint (N, 3), and how hard it is pulled over each (N, 3).
 
-    Shapes and units: ``directions``, ``sides`` of `bounds_met`; ``pull`` (N, 3) the negative gradient of the cost. Where a
+    Shapes and units: ``directions``, ``sides`` of `Bounds`, the first in the space of the pull; ``pull`` (N, 3) the negative gradient of the cost. Where a
     joint stands at both bounds of a cone, they push back as much as keeps it from crossing either, and never pull.
     """
     length = np.maximum(np.linalg.norm(directions, axis=-1), 1e-300)

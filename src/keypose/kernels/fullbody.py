@@ -112,7 +112,7 @@ def solve_block(
     near, best_shift, move, active = extra, extra + 9 * n, extra + 12 * n, extra + 15 * n
     promised, size, sound, cost = extra + 16 * n, extra + 17 * n, extra + 18 * n, extra + 19 * n
     miss, damping, curving = extra + 20 * n, extra + 21 * n, state + CURVED * n
-    live, found = memory[active : active + n], memory[extra + 22 * n : extra + 22 * n + 9]
+    live, found = memory[active : active + n], memory[extra + 22 * n : extra + 22 * n + 12]
     per_m, per_rad = 1.0 / options[O_TOLERANCE_M], 1.0 / options[O_TOLERANCE_RAD]
     plain = limit_count > 0  # whether plain sums are kept: for bounds and for curvature
     for k in range(n):
@@ -165,7 +165,7 @@ def solve_block(
                 break
             hit = False
             for limit in range(limit_count):
-                hit = force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, live, found) or hit
+                hit = force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, live, sound, found) or hit
             if not hit:
                 break
             forced = True

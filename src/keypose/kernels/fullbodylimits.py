@@ -10,6 +10,7 @@ import numpy as np
 
 from keypose.kernels.fullbodytables import (
     BEST,
+    BEST_SIDE,
     BOUND,
     CONE,
     EDGE,
@@ -27,6 +28,7 @@ from keypose.kernels.fullbodytables import (
     LIMIT_COLUMNS,
     LIMIT_NUMBERS,
     MOMENT,
+    NEAR,
     NORMALS,
     PLACE,
     PRIOR_PULL,
@@ -228,28 +230,37 @@ def find_normals(joints, limits, numbers, limit, row, q, data, work, n, found):
             row[w + (EDGE + m) * n + k] = 0.0
         if row[side + k] == 0.0 and row[side + n + k] == 0.0 and row[side + 2 * n + k] == 0.0:
             continue
-        _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
-        px, py, pz = row[w + PLACE * n + k], row[w + (PLACE + 1) * n + k], row[w + (PLACE + 2) * n + k]
-        fx, fy, fz = row[w + PULL * n + k], row[w + (PULL + 1) * n + k], row[w + (PULL + 2) * n + k]
-        gx, gy, gz = cross(px, py, pz, fx, fy, fz)
-        gx, gy = row[w + MOMENT * n + k] - gx, row[w + (MOMENT + 1) * n + k] - gy
-        gz = row[w + (MOMENT + 2) * n + k] - gz
-        if joints[joint * JOINT_COLUMNS + J_PRIOR]:
-            gx, gy = gx + row[w + PRIOR_PULL * n + k], gy + row[w + (PRIOR_PULL + 1) * n + k]
-            gz = gz + row[w + (PRIOR_PULL + 2) * n + k]
+        _directions(joints, limits, numbers, limit, row, q + 4 * joint * n, data, work, n, k, found)
+        gx, gy, gz = _gradient(joints, joint, row, w, n, k)
         if limits[limit * LIMIT_COLUMNS + L_KIND] == CONE:
             first, second = _cone_pulls(row[side + k], row[side + n + k], found, gx, gy, gz)
             if first:
                 _block(row, out, n, k, found[0], found[1], found[2])
             if second > 0.0:
                 _block(row, out, n, k, found[3], found[4], found[5])
-                _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, second, found[3], found[4], found[5])
+                _edge_of_cone(
+                    limits, numbers, limit, row, q + 4 * joint * n, data, w, n, k, second, found[3], found[4], found[5]
+                )
             continue
         for m in range(3):
             bound = row[side + m * n + k]
             x, y, z = found[3 * m], found[3 * m + 1], found[3 * m + 2]
             if bound == 2.0 or (x * gx + y * gy + z * gz) * bound < 0.0:
                 _block(row, out, n, k, x, y, z)
+
+
+@kernel
+def _gradient(joints, joint, row, w, n, k):
+    """Of one solve: what the cost grows by with a joint's turn, by all tasks and its prior."""
+    px, py, pz = row[w + PLACE * n + k], row[w + (PLACE + 1) * n + k], row[w + (PLACE + 2) * n + k]
+    fx, fy, fz = row[w + PULL * n + k], row[w + (PULL + 1) * n + k], row[w + (PULL + 2) * n + k]
+    gx, gy, gz = cross(px, py, pz, fx, fy, fz)
+    gx, gy = row[w + MOMENT * n + k] - gx, row[w + (MOMENT + 1) * n + k] - gy
+    gz = row[w + (MOMENT + 2) * n + k] - gz
+    if joints[joint * JOINT_COLUMNS + J_PRIOR]:
+        gx, gy = gx + row[w + PRIOR_PULL * n + k], gy + row[w + (PRIOR_PULL + 1) * n + k]
+        gz = gz + row[w + (PRIOR_PULL + 2) * n + k]
+    return gx, gy, gz
 
 
 @kernel
@@ -278,27 +289,20 @@ def _cone_pulls(twist, swing, found, gx, gy, gz):
 def _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, nx, ny, nz):
     """How a joint that is pulled over the edge of its cone stiffens; see `keypose.ik.fullbody_limits`."""
     at = limit * LIMIT_COLUMNS
-    home, q = data + limits[at + L_HOME] * n + k, q + 4 * limits[at + L_JOINT] * n + k
+    home, q = data + limits[at + L_HOME] * n + k, q + k
     table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
     a, b, c, d = quat_multiply(
         row[home], -row[home + n], -row[home + 2 * n], -row[home + 3 * n],
         row[q], row[q + n], row[q + 2 * n], row[q + 3 * n],
     )  # fmt: skip
-    x, y, z = quat_rotate(a, b, c, d, table[0], table[1], table[2])
-    first = x * table[3] + y * table[4] + z * table[5]
-    second = x * table[6] + y * table[7] + z * table[8]
-    cosine = x * table[0] + y * table[1] + z * table[2]
-    sine = np.sqrt(first * first + second * second)
+    x, y, z, cos, sin, sine, angle, by_angle, by_way, shape, apart = _swing_of(a, b, c, d, table)
     if sine < 1e-6:
         return
-    angle, cos, sin = np.arctan2(sine, cosine), first / sine, second / sine
-    ra, rb = 1.0 / (table[9] * table[9]), 1.0 / (table[10] * table[10])
-    shape, slope = sin * sin * ra + cos * cos * rb, 2.0 * sin * cos * (ra - rb)
-    by_angle, by_way = 2.0 * angle * shape, angle * angle * slope / sine
+    cosine = x * table[0] + y * table[1] + z * table[2]
     steep = np.sqrt(by_angle * by_angle + by_way * by_way)
     along, around = 0.0 - by_way / steep, by_angle / (steep * sine)
-    bent = 2.0 * shape * along * along + 4.0 * angle * slope * along * around
-    bent += 2.0 * angle * angle * (cos * cos - sin * sin) * (ra - rb) * around * around
+    bent = 2.0 * shape * along * along + 8.0 * angle * sin * cos * apart * along * around
+    bent += 2.0 * angle * angle * (cos * cos - sin * sin) * apart * around * around
     bent += by_angle * sine * cosine * around * around - 2.0 * by_way * cosine * along * around
     bent *= pull / steep
     turn, half = w + TURN * n + k, 0.5 * pull
@@ -315,10 +319,10 @@ def _edge_of_cone(limits, numbers, limit, row, q, data, w, n, k, pull, nx, ny, n
 
 @kernel
 def _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found):
-    """Of one solve: the directions of a joint's bounds where it is now, in the model's space."""
+    """Of one solve: the directions of a joint's bounds where it is turned as ``q`` says, in the model's space."""
     at = limit * LIMIT_COLUMNS
     kind, joint = limits[at + L_KIND], limits[at + L_JOINT]
-    home, q = data + limits[at + L_HOME] * n, q + 4 * joint * n
+    home = data + limits[at + L_HOME] * n
     p = joints[joint * JOINT_COLUMNS + J_PARENT]
     table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
     a, b, c, d = row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k]
@@ -341,7 +345,7 @@ def _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
 
 @kernel
 def _block(row, out, n, k, x, y, z):
-    """Add a direction to those of one solve that are blocked, as far as it is across them."""
+    """Add a direction to those of one solve that are blocked, as far as it is across them: which, and how far it is."""
     scale = 1.0 / max(np.sqrt(x * x + y * y + z * z), 1e-300)
     x, y, z = scale * x, scale * y, scale * z
     free = -1
@@ -356,6 +360,8 @@ def _block(row, out, n, k, x, y, z):
     if free >= 0 and length > SAME:
         place = out + 3 * free * n + k
         row[place], row[place + n], row[place + 2 * n] = x / length, y / length, z / length
+        return free, length
+    return -1, 0.0
 
 
 @kernel
@@ -369,6 +375,24 @@ def _normals_of_hinge(table, found):
     found[6], found[7], found[8] = a, b, c
 
 
+@inlined
+def _swing_of(a, b, c, d, table):
+    """Where the axis of a cone's joint points, the way there, its sine and angle; what is bounded, angle^2 shape, by its
+    slope along the angle and around over the sine; shape and the difference of its ends.
+    """
+    px, py, pz = quat_rotate(a, b, c, d, table[0], table[1], table[2])
+    first = px * table[3] + py * table[4] + pz * table[5]
+    second = px * table[6] + py * table[7] + pz * table[8]
+    sine = np.sqrt(first * first + second * second)
+    angle = np.arctan2(sine, px * table[0] + py * table[1] + pz * table[2])
+    safe = max(sine, 1e-12)
+    cos, sin = first / safe, second / safe
+    ra, rb = 1.0 / (table[9] * table[9]), 1.0 / (table[10] * table[10])
+    shape = sin * sin * ra + cos * cos * rb
+    turning = 2.0 * angle * angle * sin * cos * (ra - rb) / safe
+    return px, py, pz, cos, sin, sine, angle, 2.0 * angle * shape, turning, shape, ra - rb
+
+
 @kernel
 def _normals_of_cone(a, b, c, d, table, found):
     """The gradients of twist and swing; see `keypose.ik.fullbody_limits`."""
@@ -379,17 +403,8 @@ def _normals_of_cone(a, b, c, d, table, found):
     ux, uy, uz = a * (a * x + ux) + along * b, a * (a * y + uy) + along * c, a * (a * z + uz) + along * d
     ux, uy, uz = quat_rotate(a, b, c, d, ux / size, uy / size, uz / size)
     found[0], found[1], found[2] = ux, uy, uz
-    px, py, pz = quat_rotate(a, b, c, d, x, y, z)
-    first = px * table[3] + py * table[4] + pz * table[5]
-    second = px * table[6] + py * table[7] + pz * table[8]
-    sine = np.sqrt(first * first + second * second)
-    angle = np.arctan2(sine, px * x + py * y + pz * z)
-    safe = max(sine, 1e-12)
-    cos, sin = first / safe, second / safe
-    ra, rb = 1.0 / (table[9] * table[9]), 1.0 / (table[10] * table[10])
+    px, py, pz, cos, sin, _, _, slope, turning, _, _ = _swing_of(a, b, c, d, table)
     ax, ay, az = cos * table[6] - sin * table[3], cos * table[7] - sin * table[4], cos * table[8] - sin * table[5]
-    slope = 2.0 * angle * (sin * sin * ra + cos * cos * rb)
-    turning = 2.0 * angle * angle * sin * cos * (ra - rb) / safe
     vx, vy, vz = cross(px, py, pz, ax, ay, az)
     vx, vy, vz = slope * ax + turning * vx, slope * ay + turning * vy, slope * az + turning * vz
     length = np.sqrt(vx * vx + vy * vy + vz * vz)
@@ -418,7 +433,7 @@ def _normals_of_angles(a, b, c, d, table, i, j, k, found):
 
 
 @kernel
-def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active, found):
+def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active, sound, found):
     """Send a joint that its step carried over a bound just there, free along it; whether there is one."""
     joint = limits[limit * LIMIT_COLUMNS + L_JOINT]
     w, at = work + joint * SLOTS * n, q + 4 * joint * n
@@ -426,7 +441,9 @@ def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active
     out, hit = w + NORMALS * n, False
     for k in range(n):
         side = w + SIDE * n + k
-        if active[k] == 0.0 or (row[side] == 0.0 and row[side + n] == 0.0 and row[side + 2 * n] == 0.0):
+        if active[k] == 0.0 or row[sound + k] <= 0.0:  # a step that is none tells nothing of bounds
+            continue
+        if row[side] == 0.0 and row[side + n] == 0.0 and row[side + 2 * n] == 0.0:
             continue
         a, b, c, d = row[at + k], row[at + n + k], row[at + 2 * n + k], row[at + 3 * n + k]
         best = w + BEST * n + k
@@ -442,7 +459,10 @@ def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active
         ox, oy, oz = x - row[step], y - row[step + n], z - row[step + 2 * n]
         if np.sqrt(ox * ox + oy * oy + oz * oz) <= 0.1 * np.sqrt(x * x + y * y + z * z) + 1e-6:
             continue
-        _directions(joints, limits, numbers, limit, row, q, data, work, n, k, found)
+        hit = True
+        if _forced_to_near(joints, limits, numbers, limit, row, data, work, n, k, found):
+            continue
+        _directions(joints, limits, numbers, limit, row, at, data, work, n, k, found)
         for m in range(3):
             if row[side + m * n] != 0.0:
                 _block(row, out, n, k, found[3 * m], found[3 * m + 1], found[3 * m + 2])
@@ -454,5 +474,97 @@ def force_to_bound(joints, limits, numbers, limit, row, q, data, work, n, active
             row[place] += along * u
             row[place + n] += along * v
             row[place + 2 * n] += along * t
-        hit = True
     return hit
+
+
+@kernel
+def _forced_to_near(joints, limits, numbers, limit, row, data, work, n, k, found):
+    """Of one solve: send a joint straight to the bounds that it met, if it stands close to them all; whether it does.
+
+    Close to a bound that is curved, where a step came back inside says little of where it went out: bounds are taken as
+    flat and curved as they are here.
+    """
+    at = limit * LIMIT_COLUMNS
+    kind, joint = limits[at + L_KIND], limits[at + L_JOINT]
+    w = work + joint * SLOTS * n
+    side, best = w + SIDE * n + k, w + BEST * n
+    _directions(joints, limits, numbers, limit, row, best, data, work, n, k, found)
+    _rooms(limits, numbers, limit, row, best, data, n, k, row[side], row[side + n], row[side + 2 * n], found)
+    for m in range(3):
+        if row[side + m * n] != 0.0 and found[9 + m] > NEAR:
+            return False
+    if kind == CONE:
+        before = w + BEST_SIDE * n + k
+        first = row[before] if row[side] == 0.0 else row[side]
+        second = row[before + n] if row[side + n] == 0.0 else row[side + n]
+        gx, gy, gz = _gradient(joints, joint, row, w, n, k)
+        _, pull = _cone_pulls(first, second, found, gx, gy, gz)
+        for m in range(6):
+            row[w + (EDGE + m) * n + k] = 0.0
+        if pull > 0.0:
+            _edge_of_cone(limits, numbers, limit, row, best, data, w, n, k, pull, found[3], found[4], found[5])
+    place, out = w + FORCED * n + k, w + NORMALS * n
+    for m in range(3):
+        bound = row[side + m * n]
+        if bound == 0.0:
+            continue
+        sign = -1.0 if bound < 0.0 else 1.0
+        x, y, z = sign * found[3 * m], sign * found[3 * m + 1], sign * found[3 * m + 2]
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-300)
+        x, y, z = x / length, y / length, z / length
+        free, across = _block(row, out, n, k, x, y, z)
+        if free >= 0:
+            left = found[9 + m] - (x * row[place] + y * row[place + n] + z * row[place + 2 * n])
+            normal, left = out + 3 * free * n + k, left / across
+            row[place] += left * row[normal]
+            row[place + n] += left * row[normal + n]
+            row[place + 2 * n] += left * row[normal + 2 * n]
+    return True
+
+
+@kernel
+def _rooms(limits, numbers, limit, row, q, data, n, k, first, second, third, found):
+    """Of one solve: how far a joint may turn straight towards the ends of its ranges that it met, to found[9-11]."""
+    at = limit * LIMIT_COLUMNS
+    home = data + limits[at + L_HOME] * n + k
+    table = numbers[limit * LIMIT_NUMBERS : (limit + 1) * LIMIT_NUMBERS]
+    a, b, c, d = quat_multiply(
+        row[home], -row[home + n], -row[home + 2 * n], -row[home + 3 * n],
+        row[q + k], row[q + n + k], row[q + 2 * n + k], row[q + 3 * n + k],
+    )  # fmt: skip
+    found[9:] = 0.0
+    if limits[at + L_KIND] == HINGE:
+        angle = 2.0 * np.arctan2(b * table[0] + c * table[1] + d * table[2], a)
+        found[9] = _room(angle, table[3], table[4], first)
+    elif limits[at + L_KIND] == CONE:
+        angle = 2.0 * np.arctan2(b * table[0] + c * table[1] + d * table[2], a)
+        steep = np.sqrt(found[0] * found[0] + found[1] * found[1] + found[2] * found[2])
+        found[9] = _room(angle, table[11], table[12], first) / max(steep, 1e-300)
+        if second != 0.0:
+            found[10] = _room_of_swing(a, b, c, d, table)
+    else:
+        i, j, m = limits[at + L_I], limits[at + L_J], limits[at + L_K]
+        x, y, z = _angles_of(a, b, c, d, table, i, j, m)
+        # A direction is as long as the volume of the three axes times how fast the angle grows along it.
+        volume = found[3] * (found[7] * found[2] - found[8] * found[1])
+        volume += found[4] * (found[8] * found[0] - found[6] * found[2])
+        volume += found[5] * (found[6] * found[1] - found[7] * found[0])
+        volume = np.sqrt(abs(volume))
+        for e in range(3):
+            length = np.sqrt(found[3 * e] ** 2 + found[3 * e + 1] ** 2 + found[3 * e + 2] ** 2)
+            angle, side = x if e == 0 else y if e == 1 else z, first if e == 0 else second if e == 1 else third
+            found[9 + e] = _room(angle, table[2 * e], table[2 * e + 1], side) * volume / max(length, 1e-300)
+
+
+@kernel
+def _room(angle, low, high, side):
+    """From an angle to the end of its range that it met."""
+    around, half = _wrapped(angle - 0.5 * (low + high)), 0.5 * (high - low)
+    return 0.0 if side == 0.0 else half + around if side < 0.0 else half - around
+
+
+@kernel
+def _room_of_swing(a, b, c, d, table):
+    """From where the axis of a cone's joint points to the edge, along the slope of what is bounded."""
+    _, _, _, _, _, _, angle, slope, turning, shape, _ = _swing_of(a, b, c, d, table)
+    return (1.0 - angle * angle * shape) / max(np.sqrt(slope * slope + turning * turning), 1e-12)

@@ -17,6 +17,7 @@ O_TOLERANCE_M, O_TOLERANCE_RAD, O_SETTLED, O_SHRINK, O_GROWTH, O_LEAST = range(6
 O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, O_STILL, O_CALM, O_FIRM, OPTIONS = range(6, 15)
 BOUND = 1e-7  # radians (shares of a cone) within which a joint stands at its bound
 SAME = 0.03  # radians between directions that are one
+NEAR = 0.05  # radians from a bound within which it is met where a joint stands, not where a step ended
 
 # Slots of one joint, each a vector: rotation and place in the model's space; the sums of tasks, reduced on the way to the
 # root (inertia 6, mixed 9, mass 6, torque 3, force 3); plain sums (moment, pull, virial 9); the answer to the parent's turn,
