@@ -10,28 +10,32 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, checked
 from keypose.editing.displacement import fit_displacement
-from keypose.editing.planting import plant_feet
+from keypose.editing.planting import PlantOptions, knee_limit, plant_feet
+from keypose.editing.planting_legs import LEG_M
 from keypose.editing.reach import check_finite, found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_morphs, sample_motion, world_rotations_positions
 from keypose.math import quat
 from keypose.model import Event, Motion, Pose, Skeleton
 
-# A path that goes less than this far in a second stands.
-_STANDING_M_S = 0.05
+# What is slower stands, for a leg of LEG_M; contacts whose points are nearer to each other are one.
+_STANDING_M_S, _SAME_PLACE_M = 0.05, 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPath:
     """The way of a body over the ground.
 
-    Shapes and units: ``points`` (T, 2) metres, x and z, one for each frame; ``rate_hz`` frames a second.
+    Shapes and units: ``points`` (T, 2) metres, x and z, one for each frame; ``rate_hz`` frames a second; what is slower than
+    ``standing_m_s`` stands.
     """
 
     points: Floats
     rate_hz: float
+    standing_m_s: float = _STANDING_M_S
 
     def __post_init__(self) -> None:
         points = checked(np.array(self.points, np.float64), ("T", 2), "points")
@@ -56,7 +60,7 @@ class GroundPath:
     def headings_rad(self) -> Floats:
         """The direction of travel (T,): 0 along +Z, growing towards +X, without jumps of a turn; kept while it stands."""
         velocity = _velocities(self)
-        return _angles(velocity[:, 1] + 1j * velocity[:, 0], np.linalg.norm(velocity, axis=-1) > _STANDING_M_S)
+        return _angles(velocity[:, 1] + 1j * velocity[:, 0], np.linalg.norm(velocity, axis=-1) > self.standing_m_s)
 
     @property
     def turning_rad(self) -> float:
@@ -70,12 +74,15 @@ class PathResult:
     """A motion on another path.
 
     Shapes and units: ``path`` that it follows; ``touching`` point -> (T,) bool, the contacts that were kept (empty without
-    roles of legs); ``short_m`` how far a planted foot stays from its place at most.
+    roles of legs); ``short_m`` how far a planted foot stays from its place at most; ``knee_ratio`` the largest angular
+    acceleration of a knee by that of before: more than 1.5 only where feet are out of reach, as in a path that is gone too fast
+    for its turns.
     """
 
     motion: Motion
     touching: Mapping[str, np.ndarray]
     short_m: float
+    knee_ratio: float
     path: GroundPath
 
 
@@ -103,7 +110,7 @@ def extract_path(
         # Turned about each end, a straight way goes on straight.
         before, after = 2 * points[0] - points[pad:0:-1], 2 * points[-1] - points[-2 : -pad - 2 : -1]
         points = gaussian_filter1d(np.concatenate([before, points, after]), width, axis=0)[pad : pad + len(points)]
-    return GroundPath(points, motion.rate_hz)
+    return GroundPath(points, motion.rate_hz, _STANDING_M_S * _size(np.asarray(places, np.float64), known))
 
 
 def move_path(path: GroundPath, handles: Mapping[int, Sequence[float]], ease_s: float = 1.0) -> GroundPath:
@@ -265,13 +272,12 @@ def put_on_path(
                 f"{name}: expected {motion.frame_count} points to match the motion, got {len(given.points)}"
             )
     if np.array_equal(own.points, path.points):
-        return PathResult(motion, {}, 0.0, path)
+        return PathResult(motion, {}, 0.0, 1.0, path)
     turn = _turn_between(own, path)
     carried = _carried(motion, skeleton, own, path, turn)
-    legs = all(f"{s}_{p}" in known for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot"))
     rigid = np.ptp(turn) < 1e-9 and np.allclose(path.points, _rigidly(own, path, turn), atol=1e-9)
-    if not plant or not legs or rigid:
-        return PathResult(carried, {}, 0.0, path)
+    if not plant or not _has_legs(known) or rigid:
+        return PathResult(carried, {}, 0.0, 1.0, path)
     touching = _contacts(motion, skeleton, known)
     unturned = _feet_unturned(carried, skeleton, known, touching, turn)
     return PathResult(*_planted(unturned, skeleton, known, touching), path)
@@ -310,8 +316,7 @@ def retime(
     )
     warped = replace(motion, pose=sample_motion(motion, times), morph_weights=weights, events=events)
     known = found_roles(skeleton) if roles is None else roles
-    legs = all(f"{s}_{p}" in known for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot"))
-    if not plant or not legs:
+    if not plant or not _has_legs(known):
         return warped
     nearest = np.rint(old * motion.rate_hz).astype(np.intp)
     touching = {name: flags[nearest] for name, flags in _contacts(motion, skeleton, known).items()}
@@ -329,7 +334,7 @@ def speeds_for(path: GroundPath, speed_m_s: Any, *, smooth_s: float = 0.3, most:
     if wanted.shape not in ((), (count,)) or not np.all(np.isfinite(wanted)) or np.any(wanted <= 0):
         raise ShapeError(f"speed_m_s: expected a positive speed or ({count},) of them, got {wanted.shape}")
     own = gaussian_filter1d(path.speeds_m_s, max(0.5 * smooth_s * path.rate_hz, 1e-6), mode="nearest")
-    moving = own > _STANDING_M_S
+    moving = own > path.standing_m_s
     if not moving.any():
         return np.ones(count)
     factors = np.broadcast_to(wanted, (count,)) / np.where(moving, own, 1.0)
@@ -370,7 +375,7 @@ def _turn_between(old: GroundPath, new: GroundPath) -> Floats:
     smooth = gaussian_filter1d(product.real, width, mode="nearest") + 1j * gaussian_filter1d(
         product.imag, width, mode="nearest"
     )
-    return _angles(smooth, np.abs(smooth) > _STANDING_M_S**2)
+    return _angles(smooth, np.abs(smooth) > old.standing_m_s**2)
 
 
 def _rigidly(old: GroundPath, new: GroundPath, turn: Floats) -> Floats:
@@ -398,30 +403,49 @@ def _contacts(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> d
     from keypose.analysis.contacts import foot_contacts, foot_points
 
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
-    hip, knee, foot = (places[0, roles[f"left_{p}"]] for p in ("upper_leg", "lower_leg", "foot"))
-    leg = float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
-    found = foot_contacts(roles, places, motion.rate_hz, leg)
+    size = _size(places, roles)
+    found = foot_contacts(roles, places, motion.rate_hz, size * LEG_M)
     points = foot_points(roles, places, found)
-    return {name: _joined(flags, points[name], motion.rate_hz) for name, flags in found.items()}
+    return {name: _joined(flags, points[name], motion.rate_hz, size) for name, flags in found.items()}
 
 
-def _joined(flags: np.ndarray, track: Floats, rate_hz: float) -> np.ndarray:
+def _has_legs(roles: Mapping[str, int]) -> bool:
+    return all(f"{side}_{part}" in roles for side in SIDES for part in ("upper_leg", "lower_leg", "foot"))
+
+
+def _size(places: Floats, roles: Mapping[str, int]) -> float:
+    """How much longer a body's left leg is than LEG_M; 1 without legs."""
+    if not _has_legs(roles):
+        return 1.0
+    hip, knee, foot = (places[0, roles[f"left_{part}"]] for part in ("upper_leg", "lower_leg", "foot"))
+    return float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee)) / LEG_M
+
+
+def _joined(flags: np.ndarray, track: Floats, rate_hz: float, size: float) -> np.ndarray:
     """Contacts (T,) without short gaps over which the point went nowhere: on another path each part would get a place of its own."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     joined = flags.copy()
     for stop, start in zip(edges[1:-1:2], edges[2::2], strict=True):
-        if start - stop <= 0.1 * rate_hz and np.linalg.norm(track[start] - track[stop - 1]) < 0.01:
+        if start - stop <= 0.1 * rate_hz and np.linalg.norm(track[start] - track[stop - 1]) < _SAME_PLACE_M * size:
             joined[stop:start] = True
     return joined
 
 
 def _planted(
     motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], touching: Mapping[str, np.ndarray]
-) -> tuple[Motion, Mapping[str, np.ndarray], float]:
-    """The motion with feet held in the old contacts, then in those that it has now; these, and what legs are short of."""
-    first = plant_feet(motion, skeleton, roles, touching=touching)
-    second = plant_feet(first.motion, skeleton, roles)
-    return second.motion, second.touching, max(first.short_m, second.short_m)
+) -> tuple[Motion, Mapping[str, np.ndarray], float, float]:
+    """The motion with feet held in the old contacts, then in those that it has now; these, what legs are short of, and knees by
+    those of before.
+    """
+    options = PlantOptions(knee_rad_s2=knee_limit(motion, skeleton, roles))
+    first = plant_feet(motion, skeleton, roles, touching=touching, options=options)
+    second = plant_feet(first.motion, skeleton, roles, options=options)
+    return (
+        second.motion,
+        second.touching,
+        max(first.short_m, second.short_m),
+        first.knee_ratio * second.knee_ratio,
+    )
 
 
 def _feet_unturned(
@@ -435,7 +459,7 @@ def _feet_unturned(
     pose = motion.pose.broadcast()
     rotations = np.array(pose.rotations)
     turned = np.asarray(world_rotations_positions(skeleton, motion.pose)[0], np.float64)
-    for side in ("left", "right"):
+    for side in SIDES:
         foot = roles[f"{side}_foot"]
         none = np.zeros(motion.frame_count, bool)
         stands = touching.get(f"{side}_heel", none) | touching.get(f"{side}_ball", none)

@@ -47,6 +47,8 @@ class PlantOptions:
         loop: the motion's last frame is its first, a round on over the ground, and stays so.
         level_feet: whether a foot that is flat is laid on the ground; it is kept from turning anyway.
         hips: ``free`` (they may come along with the feet), ``upright`` (up and down only) or ``still``.
+        knee_rad_s2: the largest angular acceleration that a knee may get, radians a second squared, if hips can help it; that of
+            `knee_limit` if not given.
     """
 
     height_m: float = 0.03
@@ -56,9 +58,11 @@ class PlantOptions:
     level_feet: bool = True
     hips: HipsMode = "free"
     loop: bool = False
+    knee_rad_s2: float | None = None
 
     def __post_init__(self) -> None:
-        if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0):
+        knees = 1.0 if self.knee_rad_s2 is None else self.knee_rad_s2
+        if not (self.height_m > 0 and self.speed_m_s > 0 and self.blend_s > 0 and knees > 0):
             raise ShapeError("options: expected positive limits and a positive blend_s")
         if self.hips not in ("free", "upright", "still"):
             raise ShapeError(f"options: expected hips that are free, upright or still, got {self.hips!r}")
@@ -121,6 +125,9 @@ def plant_feet(
     # contacts that are given are planted once, others twice and looked at a third time, as a rule
     steps = _Steps(progress, 5 if touching is not None else 14)
     before = _Body(motion, skeleton, roles, steps)
+    if options.knee_rad_s2 is None:
+        # that of this motion, in all rounds
+        options = replace(options, knee_rad_s2=_limit(before.knee_peak))
     cycle = find_cycle(motion, skeleton, before.turned, before.places, before.size) if options.loop else None
     if options.loop and (cycle is None or touching is not None):
         why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
@@ -129,9 +136,16 @@ def plant_feet(
         result = _planted_once(before, touching, heights, options)
     else:
         result = _planted_round(before, cycle, heights, options)
-    ratio = before.ratio(result.motion)
+    peak = _Body(result.motion, skeleton, roles, steps).knee_peak
     steps.end()
-    return replace(result, knee_ratio=ratio)
+    return replace(result, knee_ratio=peak / before.knee_peak if before.knee_peak > 1e-9 else 1.0)
+
+
+def knee_limit(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> float:
+    """The largest angular acceleration that knees of a motion get when its feet are planted, radians a second squared: 1.4 times
+    what they have, or little enough that nobody sees it.
+    """
+    return _limit(_Body(motion, skeleton, roles, _Steps(None, 1)).knee_peak)
 
 
 def _planted_once(
@@ -145,7 +159,7 @@ def _planted_once(
         return before.planted(replace(footing, touching=flags), options, heights)
     result = before.planted(footing, options, heights)
     for _ in range(_ROUNDS):
-        after = _Body(result.motion, before.skeleton, before.roles, before.steps, before)
+        after = _Body(result.motion, before.skeleton, before.roles, before.steps)
         again = after.look(options, heights)
         if not any(path.moves for path in after.paths(again, options, heights)):
             return replace(result, footing=again, settled=True)
@@ -167,7 +181,7 @@ def _planted_round(body: _Body, cycle: Cycle, heights: Floats | None, options: P
     moved, away, short, made = np.zeros(motion.frame_count), np.zeros(motion.frame_count), 0.0, motion
     rounds = _ROUNDS
     while True:
-        rounds_of_it = _Body(unroll(made, skeleton, cycle), skeleton, roles, body.steps, body)
+        rounds_of_it = _Body(unroll(made, skeleton, cycle), skeleton, roles, body.steps)
         long = _planted_once(rounds_of_it, None, heights, options)
         footing = replace(
             long.footing,
@@ -221,16 +235,9 @@ class _Steps:
 
 
 class _Body:
-    """A motion's legs in the model's space; ``source`` is what it was made from, whose knees say what knees may do."""
+    """A motion's legs in the model's space."""
 
-    def __init__(
-        self,
-        motion: Motion,
-        skeleton: Skeleton,
-        roles: Mapping[str, int],
-        steps: _Steps,
-        source: _Body | None = None,
-    ) -> None:
+    def __init__(self, motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], steps: _Steps) -> None:
         self.motion, self.skeleton, self.roles, self.steps = motion, skeleton, roles, steps
         pose = motion.pose.broadcast()
         exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
@@ -240,8 +247,8 @@ class _Body:
         self.legs = [find_leg(side, roles, skeleton, self.turned, self.places) for side in SIDES]
         self.leg_m = float(self.legs[0].length[0])
         self.size = self.leg_m / LEG_M
-        own = max(_peak(knee_angles(leg), motion.rate_hz) for leg in self.legs)
-        self.knee_peak: float = own if source is None else source.knee_peak
+        angles = [knee_angles(leg) for leg in self.legs]
+        self.knee_peak = max(float(np.abs(np.diff(a, 2)).max(initial=0.0)) for a in angles) * motion.rate_hz**2
 
     def look(self, options: PlantOptions, heights: Floats | None) -> Footing:
         """Where feet stand."""
@@ -296,7 +303,7 @@ class _Body:
             return PlantResult(self.motion, footing.touching, footing, none, none, 0.0, 1.0, True)
         hips = np.zeros((frames, 3))
         if options.hips != "still":
-            limit = max(_KNEE_LIMIT * self.knee_peak, _LEAST_KNEE_LIMIT)
+            limit = _limit(self.knee_peak) if options.knee_rad_s2 is None else options.knee_rad_s2
             hips = hips_path(self.legs, paths, self.motion.rate_hz, options.hips == "upright", limit)
         self.steps.take()
         rotations = np.array(self.pose.rotations)
@@ -350,15 +357,6 @@ class _Body:
             parent = int(self.skeleton.parents[parent])
         return local
 
-    def ratio(self, motion: Motion) -> float:
-        """The largest angular acceleration of a knee in a motion by that in this one."""
-        pose = motion.pose.broadcast()
-        exact = Pose(*(np.asarray(a, np.float64) for a in (pose.translations, pose.rotations, pose.scales)))
-        turned, places = (np.asarray(a) for a in world_rotations_positions(self.skeleton, exact))
-        legs = [find_leg(side, self.roles, self.skeleton, turned, places) for side in SIDES]
-        peak = max(_peak(knee_angles(leg), motion.rate_hz) for leg in legs)
-        return peak / self.knee_peak if self.knee_peak > 1e-9 else 1.0
 
-
-def _peak(angles: Floats, rate_hz: float) -> float:
-    return float(np.abs(np.diff(angles, 2)).max(initial=0.0)) * rate_hz**2
+def _limit(knee_peak: float) -> float:
+    return max(_KNEE_LIMIT * knee_peak, _LEAST_KNEE_LIMIT)
