@@ -92,6 +92,23 @@ def test_an_edit_is_all_or_none() -> None:
     assert "new" in made.clips
 
 
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        ("set_clip", "commands: expected SetCurves, .* got str"),
+        (c.SetClip(Timeline((), "t")), r"set_clip\.clip: expected Clip, got Timeline"),  # pyright: ignore[reportArgumentType]
+        (c.SetCurves("arm", {"Root": 1}), r"set_curves\.curves: expected Mapping\[Channel, Curve\], got"),  # pyright: ignore[reportArgumentType]
+        (c.SetCurves("arm", {}, ("Root",)), r"set_curves\.removed: expected tuple\[Channel, \.\.\.\], got"),  # pyright: ignore[reportArgumentType]
+        (c.RemoveClip(3), r"remove_clip\.name: expected str, got 3"),  # pyright: ignore[reportArgumentType]
+        (c.SetSettings({"a": [1]}), r"set_settings\.settings: expected Mapping\[str, Setting \| None\], got"),  # pyright: ignore[reportArgumentType]
+    ],
+)
+def test_a_command_made_in_python_holds_what_it_should(command: c.Command, what: str) -> None:
+    document = random_document(3)
+    with pytest.raises(ShapeError, match=what):
+        c.apply_all(document, [command])
+
+
 def test_what_is_removed_or_renamed_takes_its_mentions_along() -> None:
     document = c.AddCharacter(small_character()).apply(Document())
     renamed = c.apply_all(

@@ -7,9 +7,10 @@ that cannot be applied raises a `KeyposeError` that says why.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from types import MappingProxyType, UnionType
+from typing import Any, ClassVar, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate.performing import FILM_HZ
@@ -20,6 +21,8 @@ from keypose.io.native_rigs import read_rig, rig_json
 from keypose.io.native_values import Fetch, Store
 from keypose.model import Channel, Character, Clip, Curve, Document, Motion, Placement, Rig, StoredPose, Timeline
 from keypose.project.document import add_character, check, check_name, import_animation, renamed
+
+_Item = TypeVar("_Item")
 
 
 class Command(Protocol):
@@ -76,6 +79,18 @@ class SetCurves:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Removal:
+    """What a command that takes something away says: its name."""
+
+    kind: ClassVar[str]
+    name: str
+
+    def to_json(self, store: Store) -> dict[str, Any]:
+        """The fields."""
+        return {"kind": self.kind, "name": self.name}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SetClip:
     """Put a clip in place of the one of its name."""
 
@@ -93,22 +108,17 @@ class SetClip:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RemoveClip:
+class RemoveClip(_Removal):
     """Remove a clip and its placements."""
 
     kind: ClassVar[str] = "remove_clip"
-    name: str
 
     def apply(self, document: Document) -> Document:
         """The document without the clip."""
         document.clip(self.name)
-        clips = {name: clip for name, clip in document.clips.items() if name != self.name}
+        clips = _without(document.clips, self.name)
         timelines = _placements(document, lambda p: None if p.animation == self.name else p)
         return replace(document, clips=clips, timelines=timelines)
-
-    def to_json(self, store: Store) -> dict[str, Any]:
-        """The fields."""
-        return {"kind": self.kind, "name": self.name}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,22 +139,17 @@ class SetTimeline:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RemoveTimeline:
+class RemoveTimeline(_Removal):
     """Remove a timeline; what it moved is moved by none."""
 
     kind: ClassVar[str] = "remove_timeline"
-    name: str
 
     def apply(self, document: Document) -> Document:
         """The document without the timeline."""
         document.timeline(self.name)
-        timelines = {name: timeline for name, timeline in document.timelines.items() if name != self.name}
+        timelines = _without(document.timelines, self.name)
         performs = {who: name for who, name in document.performs.items() if name != self.name}
         return replace(document, timelines=timelines, performs=performs)
-
-    def to_json(self, store: Store) -> dict[str, Any]:
-        """The fields."""
-        return {"kind": self.kind, "name": self.name}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,20 +170,15 @@ class SetPose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RemovePose:
+class RemovePose(_Removal):
     """Take a pose out of the library."""
 
     kind: ClassVar[str] = "remove_pose"
-    name: str
 
     def apply(self, document: Document) -> Document:
         """The document without the pose."""
         document.pose(self.name)
-        return replace(document, poses={name: pose for name, pose in document.poses.items() if name != self.name})
-
-    def to_json(self, store: Store) -> dict[str, Any]:
-        """The fields."""
-        return {"kind": self.kind, "name": self.name}
+        return replace(document, poses=_without(document.poses, self.name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,20 +200,15 @@ class SetRig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RemoveRig:
+class RemoveRig(_Removal):
     """Take a rig off its character; keys on its controls stay in their clips and move nothing."""
 
     kind: ClassVar[str] = "remove_rig"
-    name: str
 
     def apply(self, document: Document) -> Document:
         """The document without the rig."""
         document.rig(self.name)
-        return replace(document, rigs={name: rig for name, rig in document.rigs.items() if name != self.name})
-
-    def to_json(self, store: Store) -> dict[str, Any]:
-        """The fields."""
-        return {"kind": self.kind, "name": self.name}
+        return replace(document, rigs=_without(document.rigs, self.name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,7 +222,7 @@ class SetPerformance:
     def apply(self, document: Document) -> Document:
         """The document with the performance."""
         document.character(self.character)
-        performs = {who: name for who, name in document.performs.items() if who != self.character}
+        performs = _without(document.performs, self.character)
         if self.timeline:
             performs[self.character] = document.timeline(self.timeline).name
         return replace(document, performs=performs)
@@ -318,29 +313,29 @@ class AddCharacter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RemoveCharacter:
+class RemoveCharacter(_Removal):
     """Remove a character and its rig; its timeline and clips stay."""
 
     kind: ClassVar[str] = "remove_character"
-    name: str
 
     def apply(self, document: Document) -> Document:
         """The document without the character."""
         document.character(self.name)
-        characters = {name: c for name, c in document.characters.items() if name != self.name}
-        performs = {who: timeline for who, timeline in document.performs.items() if who != self.name}
+        characters = _without(document.characters, self.name)
+        performs = _without(document.performs, self.name)
         rigs = {key: rig for key, rig in document.rigs.items() if rig.character != self.name}
         return replace(document, characters=characters, performs=performs, rigs=rigs)
-
-    def to_json(self, store: Store) -> dict[str, Any]:
-        """The fields."""
-        return {"kind": self.kind, "name": self.name}
 
 
 def import_clip(document: Document, animation: Clip | Motion) -> SetClip:
     """The command that puts a copy of an animation into a document, under a free name."""
     imported = import_animation(document, animation)
     return SetClip(next(clip for name, clip in imported.clips.items() if name not in document.clips))
+
+
+def _without(items: Mapping[str, _Item], name: str) -> dict[str, _Item]:
+    """The same mapping less one name."""
+    return {key: item for key, item in items.items() if key != name}
 
 
 def _placements(document: Document, change: Callable[[Placement], Placement | None]) -> dict[str, Timeline]:
@@ -364,11 +359,42 @@ def apply_all(document: Document, commands: Iterable[Command]) -> Document:
 
     Raises:
         KeyposeError: where one cannot be applied, or the result names what is not there.
+        ShapeError: where one is no command, or holds what is not of its field's type.
     """
     for command in commands:
+        _check_types(command)
         document = command.apply(document)
     check(document)
     return document
+
+
+def _check_types(command: Command) -> None:
+    """A command made in Python is as sound as one from JSON: it holds what its fields are declared to hold."""
+    if type(command) not in _COMMANDS:
+        known = ", ".join(known.__name__ for known in _COMMANDS)
+        raise ShapeError(f"commands: expected {known}, got {type(command).__name__}")
+    hints = _hints(type(command))
+    for field_ in fields(command):  # pyright: ignore[reportArgumentType]
+        held = getattr(command, field_.name)
+        if not _fits(held, hints[field_.name]):
+            raise ShapeError(f"{command.kind}.{field_.name}: expected {field_.type}, got {held!r:.60}")
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of a type as annotations write it, and what is inside it too."""
+    whole, inside = get_origin(hint) or hint, get_args(hint)
+    if whole is UnionType:
+        return any(_fits(value, each) for each in inside)
+    if not isinstance(value, (int, float) if whole is float else whole):
+        return False
+    if issubclass(whole, Mapping):
+        return all(_fits(key, inside[0]) and _fits(item, inside[1]) for key, item in value.items())
+    return whole is not tuple or all(_fits(item, inside[0]) for item in value)
 
 
 # ---- from JSON ---------------------------------------------------------------------------------------------------------
@@ -405,6 +431,11 @@ _READERS: dict[str, Callable[[Json, Fetch], Command]] = {
     AddCharacter.kind: lambda item, fetch: AddCharacter(read_character(item.need("character"), fetch)),
     RemoveCharacter.kind: lambda item, fetch: RemoveCharacter(item.text("name")),
 }
+
+_COMMANDS = (
+    SetCurves, SetClip, RemoveClip, SetTimeline, RemoveTimeline, SetPose, RemovePose, SetRig, RemoveRig, SetPerformance,
+    Rename, SetSettings, AddCharacter, RemoveCharacter,
+)  # fmt: skip
 
 PAGE_KINDS = tuple(kind for kind in _READERS if kind not in (AddCharacter.kind, RemoveCharacter.kind))
 """Commands that a page may send as they are."""
