@@ -219,6 +219,12 @@ def test_breaks_of_a_motion_are_listed() -> None:
         lambda: Cone((1.0, 0.0, 0.0), 0.0),
         lambda: Cone((1.0, 0.0, 0.0), (0.5, 4.0)),
         lambda: EulerRange("XYZ", (0.0, 0.0, 0.0), (1.0, -1.0, 1.0)),
+        lambda: EulerRange("XYZ", (0.0, 0.0), (1.0, 1.0)),  # pyright: ignore[reportArgumentType]
+        lambda: Hinge((np.nan, 0.0, 1.0), 0.0, 1.0),
+        lambda: Hinge((0.0, 1.0), 0.0, 1.0),  # pyright: ignore[reportArgumentType]
+        lambda: Cone((1.0, 0.0, 0.0), np.nan),
+        lambda: Cone((1.0, 0.0, 0.0), 1.0, center=(np.nan, 0.0, 0.0, 0.0)),
+        lambda: Cone((1.0, 0.0, 0.0), 1.0, across=(0.0, np.nan, 0.0)),
     ],
 )
 def test_limits_that_make_no_sense_are_refused(make: Any) -> None:
@@ -232,6 +238,13 @@ def test_wrong_input_is_refused() -> None:
         chain_between(skeleton, "j0", "j9")
     with pytest.raises(ShapeError, match="does not hang below"):
         chain_between(skeleton, "j3", "j1")
+    for number in (-1, 99):
+        with pytest.raises(ShapeError, match=f"joint: expected 0 to 4, got {number}"):
+            chain_between(skeleton, 0, number)
+        with pytest.raises(ShapeError, match=f"joint: expected 0 to 4, got {number}"):
+            solve_fabrik(skeleton, skeleton.rest, (0, number), [0.0, 0.0, 0.0])
+    with pytest.raises(ShapeError, match="damping_rad: expected positive numbers, got 8 and nan"):
+        solve_ccd(skeleton, skeleton.rest, (0, 1), [0.0, 0.0, 0.0], iterations=8, damping_rad=np.nan)
     with pytest.raises(ShapeError, match="no child"):
         solve_ccd(skeleton, skeleton.rest, (0, 2), [0.0, 0.0, 0.0])
     with pytest.raises(ShapeError, match="at least 2"):

@@ -136,7 +136,10 @@ def test_malformed_skeletons_are_refused(names: Any, parents: Any, pose: Pose, m
 def test_a_skeletons_tree() -> None:
     tree = Skeleton(("hips", "spine", "leg", "head", "prop"), [-1, 0, 0, 1, -1], rest(5))
     assert tree.joint_count == 5
-    assert tree.index("head") == 3
+    assert tree.index("head") == 3 == tree.index(3)
+    for number in (-1, 5):
+        with pytest.raises(ShapeError, match=f"joint: expected 0 to 4, got {number}"):
+            tree.index(number)
     assert tree.indices(["leg", "hips"]) == [2, 0]
     assert tree.children(0) == [1, 2]
     assert_array_equal(tree.depths(), [0, 1, 1, 2, 0])
@@ -224,6 +227,10 @@ def test_malformed_motions_are_refused(rng: np.random.Generator) -> None:
             r"in_tangents: a HERMITE curve needs in_tangents of shape \(2, 1\)",
         ),
         ([0.0, 1.0], np.zeros((2, 1)), {"in_tangents": np.zeros((2, 2))}, "in_tangents: expected"),
+        ([0.0, 1.0], [[0.0, 1], [np.nan, 1]], {}, r"values: expected finite numbers, got \[nan, 1.0\] at key 1"),
+        ([0.0], [[np.inf]], {}, r"values: expected finite numbers, got \[inf\] at key 0"),
+        ([0.0], [[1.0]], {"out_tangents": [[np.nan]]}, "out_tangents: expected finite numbers"),
+        ([0.0], [[1.0]], {"in_handles": [[[np.nan, 0]]]}, "in_handles: expected finite numbers"),
     ],
 )
 def test_malformed_curves_are_refused(times: Any, values: Any, options: dict[str, Any], message: str) -> None:

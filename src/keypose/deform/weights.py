@@ -22,6 +22,8 @@ from keypose.evaluate import world
 from keypose.model import Character, Mesh, Part, Skeleton, Skin, SkinningMethod
 
 _INSIDE = 1 / 3  # of a bone has to be in the body
+_MISFIT = 0.5  # of the joints without a bone in the body are a skeleton that stands elsewhere
+_FIT = "does the mesh fit the skeleton's rest pose, in the same unit and place?"
 _STIFF = 0.02  # of the size; pieces so small that go along do not bend
 _LEAST_WEIGHT = 1e-3
 _EVEN = 1e-9  # where all are the same, they stay so
@@ -103,7 +105,7 @@ def automatic_weights(
 
     Raises:
         ShapeError: where there is no vertex, a position is not finite, or a number is out of range.
-        UnknownName: for a joint that does not exist.
+        UnknownName: for a joint or skinning method that does not exist.
 
     Source: I. Baran, J. Popović, "Automatic rigging and animation of 3D characters", 2007 (bone heat); O. Dionne,
     M. de Lasa, "Geodesic voxel binding for production character meshes", 2013 (what open meshes enclose).
@@ -195,14 +197,7 @@ def _used(character: Character) -> list[int]:
 
 
 def _named(skeleton: Skeleton, joints: Sequence[int | str]) -> list[int]:
-    found: set[int] = set()
-    for joint in joints:
-        if isinstance(joint, str):
-            found.add(skeleton.index(joint))
-        elif 0 <= joint < skeleton.joint_count:
-            found.add(int(joint))
-        else:
-            raise UnknownName("joint", str(joint), tuple(map(str, range(skeleton.joint_count))))
+    found = {skeleton.index(joint) for joint in joints}
     if not found:
         raise ShapeError("joints: expected at least one that may move something")
     return sorted(found)
@@ -297,13 +292,16 @@ def _heating(solid: Solid, bones: Bones, skeleton: Skeleton, owners: set[int]) -
         bones = bones.kept(others)
     inside = solid.inside_shares(bones) >= _INSIDE
     if not inside.any():
-        notes.append("no bone is inside the mesh: does it fit the skeleton's rest pose, in the same unit and place?")
+        notes.append(f"no bone is inside the mesh: {_FIT}")
         return bones, notes
     outside = [skeleton.names[j] for j in dict.fromkeys(bones.joints[~inside].tolist())]
     outside = [name for name in outside if skeleton.index(name) not in set(bones.joints[inside].tolist())]
     if outside:
         shown = ", ".join(outside[:5]) + (", ..." if len(outside) > 5 else "")
-        notes.append(f"{len(outside)} joints have no bone inside the mesh: {shown}")
+        have = "1 joint has" if len(outside) == 1 else f"{len(outside)} joints have"
+        notes.append(f"{have} no bone inside the mesh: {shown}")
+        if len(outside) > _MISFIT * len(set(bones.joints.tolist())):
+            notes.append(f"most bones are outside: {_FIT}")
     return bones.kept(inside), notes
 
 

@@ -13,10 +13,10 @@ from keypose.arrays import Array, Floats, as_float, checked, namespace, unified
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
 from keypose.ik.limb import softened
+from keypose.ik.limits import Vector
+from keypose.ik.tasks import Joint
 from keypose.math import quat
 from keypose.model import Pose, Skeleton
-
-Vector = tuple[float, float, float]
 
 _FORWARD: Vector = (0.0, 0.0, 1.0)
 _UP: Vector = (0.0, 1.0, 0.0)
@@ -110,10 +110,10 @@ def aim_joint(
 def aim_chain(
     skeleton: Skeleton,
     pose: Pose,
-    joints: Sequence[str | int],
+    joints: Sequence[Joint],
     target: Array,
     *,
-    ends: Sequence[str | int] = (),
+    ends: Sequence[Joint] = (),
     axis: Array = _FORWARD,
     shares: Sequence[float] | None = None,
     limits_rad: Sequence[float] | None = None,
@@ -179,17 +179,15 @@ class _Gaze:
         self,
         skeleton: Skeleton,
         pose: Pose,
-        joints: Sequence[str | int],
-        ends: Sequence[str | int],
+        joints: Sequence[Joint],
+        ends: Sequence[Joint],
         target: Array,
         axis: Array,
     ) -> None:
         if not joints:
             raise ShapeError("joints: expected at least one")
         self.skeleton, self.pose = skeleton, pose
-        self.joints, self.tips = (
-            [skeleton.index(j) if isinstance(j, str) else int(j) for j in group] for group in (joints, ends)
-        )
+        self.joints, self.tips = ([skeleton.index(j) for j in group] for group in (joints, ends))
         pairs = [*itertools.pairwise(self.joints), *((self.joints[-1], tip) for tip in self.tips)]
         for above, below in pairs:
             if not _hangs(skeleton, below, above):

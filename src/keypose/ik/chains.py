@@ -35,10 +35,9 @@ def chain_between(skeleton: Skeleton, start: str | int, end: str | int) -> tuple
 
     Raises:
         UnknownName: where a joint does not exist.
-        ShapeError: where ``end`` does not hang below ``start``.
+        ShapeError: where ``end`` does not hang below ``start``, or a number is no joint.
     """
-    first = skeleton.index(start) if isinstance(start, str) else start
-    joint = skeleton.index(end) if isinstance(end, str) else end
+    first, joint = skeleton.index(start), skeleton.index(end)
     path = [joint]
     while joint != first:
         joint = int(skeleton.parents[joint])
@@ -72,8 +71,8 @@ def solve_ccd(
     manipulators" (IEEE 1991).
     """
     work = _Chain(skeleton, pose, chain, target, limits, tolerance_m)
-    if iterations < 1 or damping_rad <= 0:
-        raise ShapeError("iterations, damping_rad: expected positive numbers")
+    if iterations < 1 or not damping_rad > 0:
+        raise ShapeError(f"iterations, damping_rad: expected positive numbers, got {iterations} and {damping_rad}")
     used = 0
     while used < iterations and len(rows := work.left()):
         used += 1
@@ -104,7 +103,7 @@ def solve_fabrik(
     """
     work = _Chain(skeleton, pose, chain, target, limits, tolerance_m)
     if iterations < 1:
-        raise ShapeError("iterations: expected at least 1")
+        raise ShapeError(f"iterations: expected at least 1, got {iterations}")
     limited = any(limit is not None for limit in work.limits[:-1])
     used = 0
     while used < iterations and len(rows := work.left()):
@@ -129,7 +128,7 @@ class _Chain:
     ) -> None:
         if len(chain) < 2:
             raise ShapeError(f"chain: expected at least 2 joints, got {len(chain)}")
-        for above, joint in itertools.pairwise(chain):
+        for above, joint in itertools.pairwise(skeleton.index(j) for j in chain):
             if int(skeleton.parents[joint]) != above:
                 raise ShapeError(
                     f"chain: '{skeleton.names[joint]}' is no child of '{skeleton.names[above]}'; see chain_between"
@@ -165,6 +164,7 @@ class _Chain:
                 self.turn(everything, n, np.broadcast_to([1.0, 0.0, 0.0, 0.0], (len(self.target), 4)))
 
     def error(self) -> Floats:
+        """How far each end is from its target (N,), metres."""
         return np.linalg.norm(self.places[:, -1] - self.target, axis=-1)
 
     def left(self) -> np.ndarray:

@@ -23,7 +23,6 @@ from keypose.ik.tasks import (
     RelativeTask,
     Smoothness,
     Task,
-    joint_of,
 )
 from keypose.math import quat
 from keypose.model import Pose, Skeleton
@@ -193,7 +192,7 @@ def make_problem(
     mover = _moving_joint(skeleton, root, used)
     free = np.ones(joints, np.int64)
     for joint in fixed:
-        free[joint_of(skeleton, joint)] = 0
+        free[skeleton.index(joint)] = 0
     if mover >= 0:
         free[above[:, mover] & (np.arange(joints) != mover)] = 0
     upright = -1
@@ -257,9 +256,9 @@ def _joints_used(skeleton: Skeleton, tasks: Sequence[Task]) -> list[int]:
                 raise ShapeError(f"masses: expected ({skeleton.joint_count},) numbers, got {np.shape(task.masses)}")
             used += [int(j) for j in np.flatnonzero(task.masses)]
         elif isinstance(task, RelativeTask):
-            used += [joint_of(skeleton, task.joint), joint_of(skeleton, task.other)]
+            used += [skeleton.index(task.joint), skeleton.index(task.other)]
         elif not isinstance(task, (PosePrior, Smoothness)):
-            used.append(joint_of(skeleton, task.joint))
+            used.append(skeleton.index(task.joint))
     return used
 
 
@@ -286,7 +285,7 @@ def _scales(skeleton: Skeleton, scales: Floats, above: Ints, used: Sequence[int]
 
 def _moving_joint(skeleton: Skeleton, root: RootMotion, used: Sequence[int]) -> int:
     if root.joint is not None:
-        return joint_of(skeleton, root.joint)
+        return skeleton.index(root.joint)
     if not skeleton.joint_count:
         return -1
     joint = used[0] if used else 0
@@ -395,7 +394,7 @@ def _term(skeleton: Skeleton, task: Task, batch: tuple[int, ...], scale: Floats,
                 masses=np.asarray(task.masses) / float(np.sum(task.masses)), axis=np.asarray(task.axes),
             )  # fmt: skip
         case RelativeTask():
-            joint, other = joint_of(skeleton, task.joint), joint_of(skeleton, task.other)
+            joint, other = skeleton.index(task.joint), skeleton.index(task.other)
             placed = np.zeros(3) if task.position is None else task.position
             turn = None if task.rotation is None else quat.normalize(flat(task.rotation, 1))
             return Term(
@@ -405,9 +404,9 @@ def _term(skeleton: Skeleton, task: Task, batch: tuple[int, ...], scale: Floats,
             )  # fmt: skip
         case OrientationTask():
             target = quat.normalize(flat(task.target, 1))
-            return Term(task, OrientationTask, joint_of(skeleton, task.joint), weight=flat(task.weight), target=target)
+            return Term(task, OrientationTask, skeleton.index(task.joint), weight=flat(task.weight), target=target)
         case PositionTask() | LookAtTask() | ContactTask():
-            joint = joint_of(skeleton, task.joint)
+            joint = skeleton.index(task.joint)
             term = Term(
                 task,
                 type(task),

@@ -42,6 +42,8 @@ class EulerRange:
     def __post_init__(self) -> None:
         if self.order not in euler.CONVENTIONS:
             raise UnknownName("Euler order", self.order, euler.CONVENTIONS)
+        if (len(self.low_rad), len(self.high_rad)) != (3, 3):
+            raise ShapeError(f"low_rad, high_rad: expected three angles each, got {self.low_rad} and {self.high_rad}")
         for low, high in zip(self.low_rad, self.high_rad, strict=True):
             _check_range(low, high, "low_rad, high_rad")
 
@@ -65,12 +67,12 @@ class Cone:
 
     def __post_init__(self) -> None:
         _check_axis(self.axis)
-        if abs(float(np.linalg.norm(self.center)) - 1.0) > 1e-6:
+        if not abs(float(np.linalg.norm(self.center)) - 1.0) <= 1e-6:
             raise ShapeError(f"center: expected a unit quaternion, got {self.center}")
-        if self.across is not None and float(np.linalg.norm(np.cross(self.axis, self.across))) < 1e-9:
+        if self.across is not None and not float(np.linalg.norm(np.cross(self.axis, self.across))) >= 1e-9:
             raise ShapeError(f"across: expected a direction across the axis {self.axis}, got {self.across}")
         _check_range(self.twist_low_rad, self.twist_high_rad, "twist_low_rad, twist_high_rad")
-        if min(self.swings) <= 0 or max(self.swings) > np.pi:
+        if not all(0 < swing <= np.pi for swing in self.swings):
             raise ShapeError(f"swing_rad: expected more than 0 and at most pi, got {self.swing_rad}")
 
     @property
@@ -147,8 +149,9 @@ def find_limit_breaks(
 
 
 def _check_axis(axis: Vector) -> None:
-    if float(np.linalg.norm(axis)) < 1e-9:
-        raise ShapeError(f"axis: expected a direction, got {axis}")
+    length = float(np.linalg.norm(axis))
+    if np.shape(axis) != (3,) or not (np.isfinite(length) and length >= 1e-9):
+        raise ShapeError(f"axis: expected a direction (x, y, z), got {axis}")
 
 
 def _check_range(low: float, high: float, names: str) -> None:

@@ -13,10 +13,10 @@ import numpy as np
 
 from keypose.arrays import Array, as_float, checked, frozen
 from keypose.errors import ShapeError
-from keypose.model import Pose, Skeleton
+from keypose.ik.limits import Vector
+from keypose.model import Pose
 
 Joint: TypeAlias = str | int
-Vector: TypeAlias = tuple[float, float, float]
 _ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
@@ -175,15 +175,6 @@ class Smoothness:
 
 BodyTask: TypeAlias = PositionTask | OrientationTask | LookAtTask | ContactTask
 Task: TypeAlias = BodyTask | RelativeTask | CenterOfMassTask | PosePrior | Smoothness
-
-
-def joint_of(skeleton: Skeleton, joint: Joint) -> int:
-    """The index of a joint named or numbered; raises `UnknownName`, or `ShapeError` for a number that is no joint."""
-    if isinstance(joint, str):
-        return skeleton.index(joint)
-    if not 0 <= joint < skeleton.joint_count:
-        raise ShapeError(f"joint: expected 0 to {skeleton.joint_count - 1}, got {joint}")
-    return int(joint)
 
 
 def _freeze(task: object, **shapes: tuple[object, ...]) -> None:

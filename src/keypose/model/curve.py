@@ -141,6 +141,14 @@ def _same_modes(mode: Interpolation, count: int) -> Array:
     return frozen(np.full(count, int(mode), np.uint8))
 
 
+def _finite(numbers: Array, name: str) -> Array:
+    """The same numbers (K, ...); another library's may be traced and have no values yet."""
+    if isinstance(numbers, np.ndarray) and not np.isfinite(numbers).all():
+        key = int(np.nonzero(~np.isfinite(numbers))[0][0])
+        raise ShapeError(f"{name}: expected finite numbers, got {numbers[key].ravel().tolist()} at key {key}")
+    return numbers
+
+
 def _furthest(numbers: Any, sign: int) -> float:
     return float(sign * np.max(sign * numbers))
 
@@ -159,7 +167,7 @@ class Curve:
         tangent_types: (K, 2) `Tangent` of the side before and after each key, or None where all are FREE.
 
     Raises:
-        ShapeError: where shapes disagree, times do not increase or a needed tangent is missing.
+        ShapeError: where shapes disagree, times do not increase, a number is not finite or a needed tangent is missing.
     """
 
     times_s: Array
@@ -186,7 +194,7 @@ class Curve:
             asked = " or ".join(str(w) for w in widths)
             raise ShapeError(f"values: expected ({count}, {asked}) for a {self.kind.value} curve, got {values.shape}")
         object.__setattr__(self, "times_s", times)
-        object.__setattr__(self, "values", frozen(values))
+        object.__setattr__(self, "values", frozen(_finite(values, "values")))
         if type(self.modes) is Interpolation:
             modes, used = _same_modes(self.modes, count), {int(self.modes)}
         else:
@@ -226,7 +234,7 @@ class Curve:
         for name in names:
             sides = getattr(self, name)
             if sides is not None:
-                object.__setattr__(self, name, frozen(checked(as_float(sides), shape, name, "values")))
+                object.__setattr__(self, name, frozen(_finite(checked(as_float(sides), shape, name, "values"), name)))
             elif mode in used:
                 raise ShapeError(f"{name}: a {mode.name} curve needs {name} of shape {shape}")
 

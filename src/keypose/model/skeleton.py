@@ -58,12 +58,21 @@ class Skeleton:
         """J."""
         return len(self.names)
 
-    def index(self, name: str) -> int:
-        """The joint's index; raises `UnknownName` with the nearest name."""
+    def index(self, joint: str | int) -> int:
+        """The index of a joint by its name; a number is only checked.
+
+        Raises:
+            UnknownName: for a name that does not exist, with the nearest.
+            ShapeError: for a number that is no joint.
+        """
+        if not isinstance(joint, str):
+            if not 0 <= joint < self.joint_count:
+                raise ShapeError(f"joint: expected 0 to {self.joint_count - 1}, got {joint}")
+            return int(joint)
         try:
-            return self.names.index(name)
+            return self.names.index(joint)
         except ValueError:
-            raise UnknownName("joint", name, self.names) from None
+            raise UnknownName("joint", joint, self.names) from None
 
     def indices(self, names: Iterable[str]) -> list[int]:
         """The indices of several joints; raises `UnknownName`."""
