@@ -247,11 +247,8 @@ export class CrowdStage {
     this.told = 0;
   }
 
-  /** For tests, which a software renderer would keep waiting. */
-  drawsNothing = false;
-
   private draw(): void {
-    if (this.size[0] === 0 || this.drawsNothing) return;
+    if (this.size[0] === 0) return;
     const { renderer, orbit, population } = this;
     const height = population?.ready.height_m ?? 1.8, radius = population?.ready.radius_m ?? 8;
     const distance = orbit.camera.position.distanceTo(orbit.target);

@@ -37,7 +37,6 @@ export const crowdHooks = {
     stage!.orbit.camera.position.fromArray(eye);
     stage!.orbit.controls.update();
   },
-  crowdDrawNothing: (on: boolean) => (stage!.drawsNothing = on),
   /** As a hidden tab does it: nothing is drawn. */
   crowdHide: (hidden: boolean) => stage!.run(!hidden),
 };

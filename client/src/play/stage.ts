@@ -48,8 +48,6 @@ export class PlayStage {
   private readonly submitTimes = new Float64Array(SAMPLES);
   private readonly frameTimes = new Float64Array(SAMPLES);
   private samples = 0;
-  /** Leave the graphics card out, to measure all the rest on a machine without one. */
-  blank = false;
   /** Speed over the ground as it is shown, smoothed. */
   groundSpeed = 0;
 
@@ -276,7 +274,7 @@ export class PlayStage {
 
   private draw(): void {
     const { renderer } = this;
-    if (this.size[0] === 0 || this.blank) return;
+    if (this.size[0] === 0) return;
     const height = this.tall;
     this.point.set(this.hips.x, Math.max(0.5 * height, this.hips.y), this.hips.z);
     this.lights.fit(this.point, 1.25 * height);

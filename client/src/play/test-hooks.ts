@@ -49,8 +49,6 @@ export const playHooks = {
     const buttons = Array.from({ length: 17 }, (_, n) => ({ pressed: pad?.buttons.includes(n) ?? false, value: pad?.buttons.includes(n) ? 1 : 0 }));
     play.playing!.driver.fakePad = pad && { axes: pad.axes, buttons };
   },
-  /** Everything but the drawing itself: a machine without a graphics card takes 200 ms for that. */
-  drawNothing: (nothing: boolean) => (stageOf()!.blank = nothing),
   /** As a hidden tab does it: nothing is drawn. */
   hide: (hidden: boolean) => stageOf()?.run(!hidden),
 };
