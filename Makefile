@@ -19,7 +19,7 @@ studio: $(VENV)/.installed ## set up, then open the studio (ARGS="walk.bvh chara
 	@$(BIN)/keypose studio $(ARGS)
 
 test: check system ## set up, then check everything and run all tests
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 check: $(VENV)/.tools ## style, types, layers
 	$(BIN)/ruff check
@@ -28,7 +28,7 @@ check: $(VENV)/.tools ## style, types, layers
 	$(BIN)/lint-imports
 
 fast: $(VENV)/.tools ## tests that need neither a browser nor OpenGL
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not browser and not gl and not slow" $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not browser and not gl and not slow" $(ARGS)
 
 format: $(VENV)/.tools ## format the code
 	$(BIN)/ruff check --fix

@@ -19,6 +19,15 @@ except ImportError:
     pass
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Modules that start a browser come first: of two workers one takes them all, and the other the rest, then helps.
+
+    What a module opens for all its tests (a page, a crowd) is so opened once, and kernels are compiled once.
+    """
+    browsing = {item.path for item in items if item.get_closest_marker("browser")}
+    items.sort(key=lambda item: item.path not in browsing)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Unsaved work of studios that tests start never lands among the user's own."""
