@@ -32,6 +32,7 @@ HipsMode = Literal["free", "upright", "still"]
 
 _ROUNDS = 24  # of planting and looking again; almost always two or three are enough
 _SINK_M, _SINK_KNOWN_M = 0.01, 0.0005  # how far feet in the air may go under a ground that is guessed, or known
+_STILL_M = 1e-7  # hips that move no more are still, for a leg of LEG_M
 _KNEE_LIMIT = 1.4  # times the largest angular acceleration of a knee that there was
 _LEAST_KNEE_LIMIT = 14.0  # radians a second squared; what is less nobody sees
 
@@ -189,7 +190,8 @@ def _planted_round(body: _Body, cycle: Cycle, heights: Floats | None, options: P
             touching={p: flags[middle] for p, flags in long.footing.touching.items()},
         )
         touching = {p: flags[middle] for p, flags in long.touching.items()}
-        settled = not long.moved_m.any() and not long.hips_m.any()
+        # the first and the last round have open ends, and only they may be moved still
+        settled = not long.moved_m[middle].any() and float(long.hips_m[middle].max()) < _STILL_M * body.size
         if settled or (rounds := rounds - 1) < 0:
             return PlantResult(made, touching, footing, moved, away, short, 1.0, settled)
         moved, away = np.maximum(moved, long.moved_m[middle]), np.maximum(away, long.hips_m[middle])
