@@ -25,6 +25,7 @@ from keypose.retarget import (
     retarget,
 )
 from keypose.retarget.attach import attach_limbs
+from tests.animals import dog
 
 
 @pytest.fixture(scope="module")
@@ -508,12 +509,34 @@ def test_an_animal_on_all_fours_moves_another(data_dir: Path, gait: str) -> None
 
 
 @pytest.mark.data
+@pytest.mark.parametrize("gait", ["Survey", "Walk", "Run"])
+def test_animals_move_each_other_by_their_roles_alone(data_dir: Path, gait: str) -> None:
+    scene = samples.open_scene(str(data_dir / "gltf/khronos/Fox.glb"))
+    skeleton = scene.character.skeleton
+    other, named = other_animal(skeleton)
+    by_maps = retarget(
+        scene.animation(gait), skeleton, other,
+        source_roles=roles_from_json(json.dumps(FOX), skeleton), target_roles=roles_from_json(json.dumps(named), other),
+    )  # fmt: skip
+    found = retarget(scene.animation(gait), skeleton, other)
+    assert np.array_equal(found.motion.pose.rotations, by_maps.motion.pose.rotations)
+    # and a dog with shoulder blades, four joints in its back and a longer tail
+    body = dog(turned=True)
+    done = retarget(scene.animation(gait), skeleton, body)
+    bare = retarget(scene.animation(gait), skeleton, body, plant=None)
+    assert done.target.on_all_fours
+    directions = {k: v for k, v in bare.report.direction_deg.items() if "_" in k}
+    assert max(v for k, v in directions.items() if "shoulder" not in k) < 0.05
+    assert done.report.slide_cm_s < 1.0
+    assert done.report.mean_direction_deg < 8.0
+
+
+@pytest.mark.data
 def test_an_animal_is_no_human(data_dir: Path, walk: Scene) -> None:
     fox = samples.open_scene(str(data_dir / "gltf/khronos/Fox.glb")).character.skeleton
-    with pytest.raises(KeyposeError, match="four feet"):
-        retarget(motion_of(walk), walk.character.skeleton, fox)
-    with pytest.raises(KeyposeError, match="four feet and the other on two"):
-        retarget(motion_of(walk), walk.character.skeleton, fox, target_roles=find_roles(fox).roles)
+    for roles in (None, find_roles(fox).roles):
+        with pytest.raises(KeyposeError, match="four feet and the other on two"):
+            retarget(motion_of(walk), walk.character.skeleton, fox, target_roles=roles)
 
 
 @pytest.mark.data

@@ -1,4 +1,4 @@
-"""Which joint is which in an animal on all fours: by where joints are and how they hang together; names only tell the sides.
+"""Which joint is which in an animal on all fours: by where joints are and how they hang together, hardly by names.
 
 Roles are a humanoid's, forelegs being arms, with `tail:1`, `tail:2` ... from the root of the tail.
 """
@@ -20,12 +20,17 @@ _STANDS = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """A skeleton's joints: ``places`` (J, 3); ``sides`` by name ("left", "right" or ""); ``helpers`` are no parts of the body."""
+    """A skeleton's joints.
+
+    Shapes: ``places`` (J, 3); ``sides`` by name ("left", "right" or ""); ``heads`` are called so; ``helpers`` are no bones of
+    trunk, limbs or tail.
+    """
 
     parents: Sequence[int]
     children: Sequence[Sequence[int]]
     places: Floats
     sides: Sequence[str]
+    heads: frozenset[int]
     helpers: frozenset[int]
 
     def path(self, joint: int) -> list[int]:
@@ -142,17 +147,18 @@ def _legs(
         return None
     # a body on four legs is longer than it is wide
     level = places[body][:, [0, 2]]
-    along = int(np.argmax(np.ptp(level, axis=0)))
-    across = 1 - along
-    centre = float(np.median(level[:, across]))
-    aside = {j: float(places[j, 2 * across]) - centre for j in paws}
+    spread = level - level.mean(axis=0)
+    along = np.linalg.eigh(spread.T @ spread)[1][:, 1]
+    ahead = places[:, [0, 2]] @ along
+    across = places[:, [0, 2]] @ np.array([along[1], -along[0]])
+    centre = float(np.median(across[body]))
+    aside = {j: float(across[j]) - centre for j in paws}
     halves = [[j for j in paws if aside[j] * sign > 0] for sign in (1.0, -1.0)]
     if min(len(h) for h in halves) < 2:
         return None
     ends: list[tuple[int, int]] = []
     for half in halves:
-        first = min(half, key=lambda j: places[j, 2 * along])
-        last = max(half, key=lambda j: places[j, 2 * along])
+        first, last = min(half, key=lambda j: ahead[j]), max(half, key=lambda j: ahead[j])
         # toes of one foot are no two legs
         if tree.meet(first, last) in half or len(set(tree.path(first)) ^ set(tree.path(last))) < 5:
             return None
@@ -164,9 +170,8 @@ def _legs(
     # the forelegs hang beyond the hind legs on the way to the head, or, seen from a common root, on the side of it
     front = 1 if _leads(tree, heads[1], heads[0], paws) else 0
     hind, fore = pairs[1 - front], pairs[front]
-    forward = np.zeros(3)
-    forward[2 * along] = places[fore[0], 2 * along] - places[hind[0], 2 * along]
-    left = np.cross((0.0, 1.0, 0.0), forward)
+    sense = np.sign(ahead[fore[0]] - ahead[hind[0]])
+    left = np.cross((0.0, 1.0, 0.0), (sense * along[0], 0.0, sense * along[1]))
     named = [tree.sides[j] for j in hind]
     is_left = named == ["left", "right"] if all(named) else float((places[hind[0]] - places[hind[1]]) @ left) > 0
     return (hind, fore), is_left
@@ -196,7 +201,7 @@ def _head(tree: Tree, chest: int, leaves: Sequence[int], paws: Sequence[int]) ->
     top = max(beyond, key=lambda j: float(tree.places[j, 1]))
     way = tree.path(top)
     for joint in way[way.index(chest) + 1 :]:
-        if len(_real(tree, tree.children[joint])) > 1:
+        if joint in tree.heads or len(_real(tree, tree.children[joint])) > 1:
             return joint
     return top
 
@@ -229,7 +234,6 @@ def _foreleg(tree: Tree, chest: int, paw: int, low: float) -> dict[str, int] | N
     stands = _standing(tree, limb, low) if len(limb) >= 3 else 0
     if stands < 2:
         return None
-    found = dict(zip(("upper_arm", "lower_arm", "hand"), limb[stands - 2 : stands + 1], strict=True))
-    if stands >= 3:
-        found["shoulder"] = limb[stands - 3]
-    return found
+    parts = ("upper_arm", "lower_arm", "hand")
+    shoulder = {"shoulder": limb[stands - 3]} if stands >= 3 else {}
+    return shoulder | dict(zip(parts, limb[stands - 2 : stands + 1], strict=True))

@@ -74,6 +74,7 @@ _PATTERNS = tuple((part, re.compile(pattern)) for part, pattern in _PARTS)
 _PREFIX = re.compile(
     r"^(?:mixamorig\d*|ccbase|rlbone|bip\d*|biped\d*|valve|def|org|mch|jbip|bone|b|jnt|joint)(?=[a-z])"
 )
+_FACE = re.compile(r"^(?:ear|jaw|chin|eye|brow|nose|snout|muzzle|mouth|lip|tongue|teeth|tooth|horn|antler|mane)")
 # Further chains of a map made by hand: 'tail:1', 'left_ear:2'.
 _FURTHER = re.compile(r"[a-z][a-z0-9_]*:[0-9]+")
 _FINGER_WORDS = {
@@ -221,8 +222,13 @@ class _Finder:
         return {r: self.settled(self.roles[r]) if r not in self.known else self.roles[r] for r in order}
 
     def tree(self) -> Tree:
-        helpers = frozenset(j for j, part in enumerate(self.parts) if part == "helper")
-        return Tree(self.parents, self.children, self.places, self.sides, helpers)
+        heads = frozenset(j for j, part in enumerate(self.parts) if part == "head")
+        aside = {
+            j
+            for j, (part, text) in enumerate(zip(self.parts, self.texts, strict=True))
+            if part == "helper" or _FACE.search(text)
+        }
+        return Tree(self.parents, self.children, self.places, self.sides, heads, frozenset(aside))
 
     def animal(self) -> bool:
         """Roles of an animal on all fours, where the joints stand like one."""

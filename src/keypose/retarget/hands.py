@@ -20,6 +20,7 @@ from keypose.ik import rotation_between_frames, solve_limb
 from keypose.math import quat
 from keypose.model import Pose
 from keypose.retarget.body import BodyFrames
+from keypose.retarget.posing import ankle_floor_m
 
 _LEG_M = 0.85  # the length of leg that limits in metres are meant for
 
@@ -131,7 +132,7 @@ def keep_hands(
             # an arm whose hand comes along as well is told by that hand
             pulls.append((_share(away, part, size, ease) * (alone if part == "arm" else 1.0), goal - moved))
         for prop in options.props:
-            here, there = _prop(prop, len(places), ratio, own, other)
+            here, there = prop_places(prop, own, places, other, ratio)
             share = _share(np.linalg.norm(palm - here, axis=-1), "prop", size, ease)
             pulls.append((share, there + body * (palm - here) - moved))
         strength, way = _together(pulls)
@@ -217,7 +218,15 @@ def _between(own: BodyFrames, other: BodyFrames, turned: Floats, now: Floats) ->
     return quat.multiply(target, quat.conjugate(frame))
 
 
-def _prop(prop: Prop, frames: int, ratio: float, own: BodyFrames, other: BodyFrames) -> tuple[Floats, Floats]:
+def prop_places(prop: Prop, own: BodyFrames, places: Floats, other: BodyFrames, ratio: float) -> tuple[Floats, Floats]:
+    """Where a prop is in the source's world and in the target's (T, 3), by the places (T, J, 3) of the source's joints.
+
+    What is the same prop scaled is as high over the ground that both walk on, whatever height their reference poses have.
+
+    Raises:
+        ShapeError: where the prop has another number of frames.
+    """
+    frames = len(places)
     found: list[Floats] = []
     for place in (prop.source, prop.target):
         if place is not None:
@@ -226,8 +235,8 @@ def _prop(prop: Prop, frames: int, ratio: float, own: BodyFrames, other: BodyFra
                 raise ShapeError(f"prop: expected a place (3,) or ({frames}, 3), got {array.shape}")
             found.append(np.broadcast_to(array, (frames, 3)))
     if len(found) == 1:
-        ground = np.array([0.0, other.ground_m - ratio * own.ground_m, 0.0])
-        found.append(ratio * found[0] + ground)
+        ground = ankle_floor_m(own, places) - own.ankle_m
+        found.append(ratio * found[0] + np.array([0.0, other.ground_m - ratio * ground, 0.0]))
     return found[0], found[1]
 
 

@@ -107,15 +107,19 @@ def hips_path(
     """Where the target's hips go (T, 3): so that the middle between its hip joints follows the source's."""
     legs = [own.roles[f"{s}_upper_leg"] for s in SIDES]
     middle = places[:, legs].mean(axis=1)
-    ankles = places[:, [own.roles[f"{s}_foot"] for s in SIDES], 1]
-    floor = float(np.percentile(ankles.min(axis=1), 2.0))
     path = ratio * middle
-    path[:, 1] = other.ground_m + other.ankle_m + ratio * (middle[:, 1] - floor)
+    path[:, 1] = other.ground_m + other.ankle_m + ratio * (middle[:, 1] - ankle_floor_m(own, places))
     # from the middle between the hip joints back to the hips joint itself, as the target is built
     hips = other.roles["hips"]
     offset = other.places[[other.roles[f"{s}_upper_leg"] for s in SIDES]].mean(axis=0) - other.places[hips]
     local = quat.rotate(quat.conjugate(other.rotations[hips]), offset)
     return path - quat.rotate(model[:, hips], np.broadcast_to(local, path.shape))
+
+
+def ankle_floor_m(body: BodyFrames, places: Floats) -> float:
+    """How low the ankles of a body go in a motion (T, J, 3), but for the rarest frames."""
+    ankles = places[:, [body.roles[f"{s}_foot"] for s in SIDES], 1]
+    return float(np.percentile(ankles.min(axis=1), 2.0))
 
 
 def as_pose(body: BodyFrames, model: Floats, path: Floats) -> Pose:

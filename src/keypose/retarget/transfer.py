@@ -60,7 +60,7 @@ def retarget(
     rate_hz: float | None = None,
     progress: Progress | None = None,
 ) -> RetargetResult:
-    """A motion of one body on another, by the roles of their joints: humanoids, or animals on all fours with maps of roles.
+    """A motion of one body on another, by the roles of their joints: humanoids, or animals on all fours.
 
     Bones of arms, legs and fingers point exactly where the source's do; trunk, head, shoulders and feet turn by what the
     source turns out of its reference pose, shared out along spines of other joint counts. The hips' path is scaled by leg
@@ -75,7 +75,7 @@ def retarget(
     not it. ``progress`` is called with (percent done, 100).
 
     Raises:
-        KeyposeError: where a skeleton is no humanoid, or only one of the two stands on four feet.
+        KeyposeError: where a skeleton is no humanoid or animal, or only one of the two stands on four feet.
         ShapeError: where the motion has no frames or joints at no place, the scale is not positive, or a prop has other frames.
 
     Source: M. Gleicher, "Retargetting motion to new characters" (SIGGRAPH 1998), for what is to be kept: contacts.
@@ -194,13 +194,9 @@ def _as_motion(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | No
 def _roles_of(skeleton: Skeleton, roles: Roles | None, pose: Pose | None) -> dict[str, int]:
     if roles is None:
         found = find_roles(skeleton, pose)
-        if found.on_all_fours:
-            raise KeyposeError(
-                f"the skeleton of '{skeleton.names[0]}' stands on four feet; to retarget it all the same, give its roles as a map"
-            )
         if found.missing:
             raise KeyposeError(
-                f"the skeleton of '{skeleton.names[0]}' is no humanoid: nothing plays {', '.join(found.missing[:5])}; "
+                f"the skeleton of '{skeleton.names[0]}' is no humanoid or animal: nothing plays {', '.join(found.missing[:5])}; "
                 "name its joints in a map of roles"
             )
         return dict(found.roles)

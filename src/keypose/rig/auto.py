@@ -1,4 +1,4 @@
-"""A rig for any humanoid: controls placed and turned by where its joints are, whatever the joints' own axes."""
+"""A rig for any humanoid or animal on all fours: controls placed and turned by where its joints are, whatever the joints' own axes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from keypose.model import (
     Character,
     Control,
     ControlShape,
+    ControlSide,
     EyesModule,
     FollowModule,
     HeadModule,
@@ -26,8 +27,8 @@ from keypose.model import (
     Skeleton,
     SpineModule,
 )
-from keypose.rig.auto_limbs import SIDE_LABELS, rig_arm, rig_leg, spaces_of
-from keypose.rig.body import Body, Sheet, read_body
+from keypose.rig.auto_limbs import FORELEG, SIDE_LABELS, rig_arm, rig_leg, rig_shoulder, spaces_of
+from keypose.rig.body import Body, Sheet, bone_axes, read_body
 from keypose.rig.limbs import is_bent_aside
 from keypose.rig.plan import plan_of
 from keypose.rig.twists import find_twists
@@ -45,6 +46,9 @@ def auto_rig(
 ) -> Rig:
     """The rig of a humanoid: root, pelvis, spine, head, eyes, jaw, shoulders, arms, hands, fingers, legs and feet.
 
+    An animal on all fours has forelegs in place of arms. Further chains that ``roles`` name (``tail:1``, ``left_ear:1``) follow
+    a control for each joint.
+
     What a skeleton does not have gets no controls. ``roles`` are found where none are given (`analysis.find_roles`); the
     surface of ``character`` tells where soles end, and its name is that of the rig's character. ``taken`` are names that controls
     leave free, such as joints of clips beside it. Controls at rest give the rest pose.
@@ -59,8 +63,13 @@ def auto_rig(
     _trunk(sheet, body, modules)
     _head(sheet, body, modules)
     for side in SIDES:
-        rig_arm(sheet, body, side, modules)
+        if body.on_all_fours:
+            carrier = skeleton.names[body.spine[-1]] if body.spine else ""
+            rig_leg(sheet, body, side, modules, FORELEG, rig_shoulder(sheet, body, side, modules), carrier)
+        else:
+            rig_arm(sheet, body, side, modules)
         rig_leg(sheet, body, side, modules)
+    _chains(sheet, body, modules)
     twists = find_twists(body)
     if twists is not None:
         modules.append(twists)
@@ -86,9 +95,9 @@ def _roles(
     if roles is None:
         own = None if character is None else character.roles
         found = find_roles(skeleton, known=own or None)
-        if not found.is_humanoid:
-            missing = ", ".join(found.missing) or "arms: it stands on all fours"
-            raise KeyposeError(f"no humanoid: nothing plays {missing}; name the joints in a map of roles")
+        if found.missing:
+            missing = ", ".join(found.missing)
+            raise KeyposeError(f"no humanoid or animal: nothing plays {missing}; name the joints in a map of roles")
         return found.roles
     return roles.roles if isinstance(roles, RoleMap) else roles
 
@@ -98,15 +107,18 @@ def _roles(
 
 def _trunk(sheet: Sheet, body: Body, modules: list[Module]) -> None:
     names, axes, size = body.skeleton.names, body.axes, body.size_m
+    girth = 2.0 * size if body.on_all_fours else size
     hips = body.roles["hips"]
     ground = body.places[hips] + body.up * (body.ground_m - body.places[hips] @ body.up)
     moves = (Property.TRANSLATION, Property.ROTATION, Property.SCALE)
     root = sheet.add("root", "", ground, axes, Control("", ControlShape.ARROWS, 0.3 * size, moves=moves))
     pelvis = sheet.add(
         "pelvis", root, body.places[hips], axes,
-        Control("", ControlShape.SQUARE, 0.16 * size, spaces=spaces_of(("root", root), ("world", ""))),
+        Control("", ControlShape.SQUARE, 0.16 * girth, spaces=spaces_of(("root", root), ("world", ""))),
     )  # fmt: skip
-    swing = sheet.add("hip_swing", pelvis, body.places[hips], axes, Control("", ControlShape.CIRCLE, 0.12 * size))
+    swing = sheet.add(
+        "hip_swing", pelvis, body.places[hips], body.along, Control("", ControlShape.CIRCLE, 0.12 * girth)
+    )
     modules.append(FollowModule("body", (names[hips],), (swing,), pelvis))
     spine = body.spine
     if not spine:
@@ -115,7 +127,7 @@ def _trunk(sheet: Sheet, body: Body, modules: list[Module]) -> None:
     above = pelvis
     for n, joint in enumerate(spine):
         above = sheet.add(
-            f"spine.{n + 1}", above, body.places[joint], axes, Control("", ControlShape.CIRCLE, 0.11 * size)
+            f"spine.{n + 1}", above, body.places[joint], body.along, Control("", ControlShape.CIRCLE, 0.11 * girth)
         )
         controls.append(above)
     # legs that hang on the spine, as a Biped's, do not sway with the chest's IK
@@ -128,7 +140,7 @@ def _trunk(sheet: Sheet, body: Body, modules: list[Module]) -> None:
         return
     top = spine[-1]
     goal = sheet.add(
-        "chest_ik", pelvis, body.places[top], axes,
+        "chest_ik", pelvis, body.places[top], body.along,
         Control("", ControlShape.BOX, 0.1 * size, spaces=spaces_of(("pelvis", pelvis), ("root", root), ("world", ""))),
     )  # fmt: skip
     modules.append(SpineModule("spine", tuple(names[j] for j in spine), tuple(controls), goal))
@@ -138,6 +150,7 @@ def _trunk(sheet: Sheet, body: Body, modules: list[Module]) -> None:
 
 def _head(sheet: Sheet, body: Body, modules: list[Module]) -> None:
     names, axes, size = body.skeleton.names, body.axes, body.size_m
+    girth = 2.0 * size if body.on_all_fours else size
     neck = body.neck
     head = neck[-1]
     above = sheet.named("root")
@@ -145,12 +158,19 @@ def _head(sheet: Sheet, body: Body, modules: list[Module]) -> None:
     controls: list[str] = []
     for n, joint in enumerate(neck):
         name = "head" if joint == head else "neck" if len(neck) == 2 else f"neck.{n + 1}"
+        own = axes
+        if body.on_all_fours:
+            own = (
+                body.along
+                if joint == head
+                else bone_axes(body.places[neck[n + 1]] - body.places[joint], -body.up, body.forward)
+            )
         look = Control(
-            "", ControlShape.CIRCLE, (0.1 if joint == head else 0.06) * size,
-            tuple(0.06 * size * body.up @ axes) if joint == head else (0.0, 0.0, 0.0),
+            "", ControlShape.CIRCLE, (0.1 if joint == head else 0.06) * girth,
+            (0.0, 0.06 * girth, 0.0) if joint == head else (0.0, 0.0, 0.0),
             spaces=spaces_of(("chest", names[carrier])) if n == 0 and carrier >= 0 else (),
         )  # fmt: skip
-        above = sheet.add(name, above, body.places[joint], axes, look)
+        above = sheet.add(name, above, body.places[joint], own, look)
         controls.append(above)
     root, pelvis = sheet.named("root"), sheet.named("pelvis")
     spaces = [("root", root), ("world", ""), ("pelvis", pelvis)]
@@ -175,6 +195,37 @@ def _head(sheet: Sheet, body: Body, modules: list[Module]) -> None:
         modules.append(FollowModule("jaw", (names[jaw],), (control,)))
     if eyes:
         _eyes(sheet, body, above, eyes, level, modules)
+
+
+def _chains(sheet: Sheet, body: Body, modules: list[Module]) -> None:
+    """Tails, ears and whatever else is named in chains: a control for each joint."""
+    names, size = body.skeleton.names, body.size_m
+    chains: dict[str, dict[int, int]] = {}
+    for role, joint in body.roles.items():
+        stem, colon, number = role.partition(":")
+        if colon:
+            chains.setdefault(stem, {})[int(number)] = joint
+    for stem, numbered in chains.items():
+        side = next((s for s in SIDES if stem.startswith(f"{s}_")), "")
+        letter, colour = SIDE_LABELS[side] if side else ("", ControlSide.MIDDLE)
+        stem, dot = stem.removeprefix(f"{side}_"), f".{letter}" if letter else ""
+        joints = [numbered[n] for n in sorted(numbered)]
+        above, controls = sheet.named("root"), list[str]()
+        for n, joint in enumerate(joints):
+            tip = body.places[joints[n + 1]] if n + 1 < len(joints) else body.tip(joint)
+            before = body.places[joints[n - 1]] if n else body.places[body.roles["hips"]]
+            bone = (body.places[joint] - before) if tip is None else tip - body.places[joint]
+            carrier = body.parents[joint]
+            hangs = n == 0 or not body.hangs(joint, joints[n - 1])
+            look = Control(
+                "", ControlShape.CIRCLE, 0.08 * size, side=colour,
+                spaces=spaces_of(("body", names[carrier])) if hangs and carrier >= 0 else (),
+            )  # fmt: skip
+            above = sheet.add(
+                f"{stem}.{n + 1}{dot}", above, body.places[joint], bone_axes(bone, body.up, body.forward), look
+            )
+            controls.append(above)
+        modules.append(FollowModule(f"{stem}{dot}", tuple(names[j] for j in joints), tuple(controls)))
 
 
 def _eyes(sheet: Sheet, body: Body, head: str, eyes: Sequence[int], level: Floats, modules: list[Module]) -> None:

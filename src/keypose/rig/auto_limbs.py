@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,17 +32,7 @@ def rig_arm(sheet: Sheet, body: Body, side: str, modules: list[Module]) -> None:
     letter, colour = SIDE_LABELS[side]
     names, size, places = body.skeleton.names, body.size_m, body.places
     upper, lower, hand = (body.roles[f"{side}_{part}"] for part in ("upper_arm", "lower_arm", "hand"))
-    above = sheet.named("root")
-    shoulder = body.roles.get(f"{side}_shoulder")
-    if shoulder is not None:
-        bone = places[upper] - places[shoulder]
-        carrier = body.parents[shoulder]
-        look = Control(
-            "", ControlShape.CIRCLE, 0.05 * size, (0.0, float(np.linalg.norm(bone)), 0.0), colour,
-            spaces_of(("chest", names[carrier])) if carrier >= 0 else (),
-        )  # fmt: skip
-        above = sheet.add(f"shoulder.{letter}", above, places[shoulder], bone_axes(bone, body.forward, body.up), look)
-        modules.append(FollowModule(f"shoulder.{letter}", (names[shoulder],), (above,)))
+    above = rig_shoulder(sheet, body, side, modules)
     pole = _bend(places[upper], places[lower], places[hand], -body.forward)
     palm = body.palm(side)
     axes = [
@@ -67,13 +57,62 @@ def rig_arm(sheet: Sheet, body: Body, side: str, modules: list[Module]) -> None:
         modules.append(fingers)
 
 
-def rig_leg(sheet: Sheet, body: Body, side: str, modules: list[Module]) -> None:
-    """Controls and modules of a leg and its foot."""
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """What plays a leg, and what its controls are called.
+
+    ``parts``: roles of its three joints and, where there may be any, of the toes; ``controls`` of the three; ``forward`` whether
+    it bends forward, as knees do.
+    """
+
+    parts: tuple[str, str, str]
+    toes: str
+    module: str
+    controls: tuple[str, str, str]
+    pole: str
+    forward: bool
+
+    @property
+    def foot(self) -> str:
+        """The foot's control with FK, and its attributes."""
+        return self.controls[2]
+
+
+LEG = Leg(("upper_leg", "lower_leg", "foot"), "toes", "leg", ("upper_leg", "lower_leg", "foot"), "knee", True)
+FORELEG = Leg(
+    ("upper_arm", "lower_arm", "hand"), "", "foreleg", ("upper_foreleg", "lower_foreleg", "forefoot"), "elbow", False
+)
+
+
+def rig_shoulder(sheet: Sheet, body: Body, side: str, modules: list[Module]) -> str:
+    """The control and module of a shoulder; returns the control that the limb hangs on, the root's where there is none."""
+    letter, colour = SIDE_LABELS[side]
+    names, places = body.skeleton.names, body.places
+    shoulder = body.roles.get(f"{side}_shoulder")
+    if shoulder is None:
+        return sheet.named("root")
+    bone = places[body.roles[f"{side}_upper_arm"]] - places[shoulder]
+    carrier = body.parents[shoulder]
+    look = Control(
+        "", ControlShape.CIRCLE, 0.05 * body.size_m, (0.0, float(np.linalg.norm(bone)), 0.0), colour,
+        spaces_of(("chest", names[carrier])) if carrier >= 0 else (),
+    )  # fmt: skip
+    made = sheet.add(
+        f"shoulder.{letter}", sheet.named("root"), places[shoulder], bone_axes(bone, body.forward, body.up), look
+    )
+    modules.append(FollowModule(f"shoulder.{letter}", (names[shoulder],), (made,)))
+    return made
+
+
+def rig_leg(
+    sheet: Sheet, body: Body, side: str, modules: list[Module], leg: Leg = LEG, above: str = "", carrier: str = ""
+) -> None:
+    """Controls and modules of a leg and its foot, under a control (the root) and carried by a joint, where that is named, too."""
     letter, colour = SIDE_LABELS[side]
     size, places = body.size_m, body.places
-    upper, lower, foot = (body.roles[f"{side}_{part}"] for part in ("upper_leg", "lower_leg", "foot"))
-    pole = _bend(places[upper], places[lower], places[foot], body.forward)
-    heading = body.heading(side)
+    upper, lower, foot = (body.roles[f"{side}_{part}"] for part in leg.parts)
+    pole = _bend(places[upper], places[lower], places[foot], body.forward if leg.forward else -body.forward)
+    heading = body.heading(side, leg.parts[2], leg.toes)
     flat = np.stack([np.cross(body.up, heading), body.up, heading], axis=1)
     axes = [
         bone_axes(places[lower] - places[upper], -pole, body.up),
@@ -83,23 +122,24 @@ def rig_leg(sheet: Sheet, body: Body, side: str, modules: list[Module]) -> None:
     root = sheet.named("root")
     sole = 0.5 * body.foot_m
     drop = float((places[foot] @ body.up) - body.ground_m)
+    spaces = [("root", root), ("world", ""), ("pelvis", sheet.named("pelvis"))]
     goal_look = Control(
         "", ControlShape.FOOT, sole, (0.0, -drop, 0.6 * sole), colour,
-        spaces_of(("root", root), ("world", ""), ("pelvis", sheet.named("pelvis"))),
+        spaces_of(*spaces, *((("chest", carrier),) if carrier else ())),
     )  # fmt: skip
+    a, b, c = (f"{name}.{letter}" for name in leg.controls)
     limb = _limb(
-        sheet, body, f"leg.{letter}", colour, (upper, lower, foot),
-        (f"upper_leg.{letter}", f"lower_leg.{letter}", f"foot.{letter}"), axes, root,
-        (f"foot_ik.{letter}", places[foot], flat, goal_look), (f"knee.{letter}", pole), modules, ik=1.0,
+        sheet, body, f"{leg.module}.{letter}", colour, (upper, lower, foot), (a, b, c), axes, above or root,
+        (f"{leg.foot}_ik.{letter}", places[foot], flat, goal_look), (f"{leg.pole}.{letter}", pole), modules, ik=1.0,
     )  # fmt: skip
     toes = ""
-    joint = body.roles.get(f"{side}_toes", -1)
+    joint = body.roles.get(f"{side}_{leg.toes}", -1)
     if limb is None or (joint >= 0 and not body.hangs(joint, foot)):
         return
     if joint >= 0:
         look = Control("", ControlShape.CIRCLE, 0.035 * size, side=colour, moves=_TURN)
         toes = sheet.add(f"toes.{letter}", limb.goal, places[joint], flat, look)
-    pivots = foot_pivots(body, side, f"foot.{letter}", toes)
+    pivots = foot_pivots(body, side, f"{leg.foot}.{letter}", toes, leg.parts[2], leg.toes)
     modules.append(replace(limb, foot=pivots))
     for pivot, reach in (("roll", 2.0), ("bank", 1.2), ("heel", 1.5), ("ball", 1.5), ("tip", 1.5), ("swivel", 1.5)):
         sheet.attribute(pivots.attribute(pivot), limb.goal, low=-reach, high=reach, angle=True)

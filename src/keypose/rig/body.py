@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from keypose.analysis.roles import SIDES
+from keypose.analysis.roles import SIDES, stands_on_all_fours
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError
 from keypose.math import quat
@@ -19,10 +19,11 @@ _NEEDED = tuple(f"{s}_{p}" for s in SIDES for p in ("upper_leg", "lower_leg", "f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A humanoid at rest.
+    """A humanoid, or an animal on all fours, at rest.
 
     Shapes and units: ``places`` (J, 3) metres; ``axes`` (3, 3) columns to its left, up and forward; ``size_m`` from the soles to
-    the head's joint; ``ground_m`` along up; ``spine`` from above the hips to the chest, ``neck`` from above that to the head.
+    the head's joint, or to an animal's hips where those are higher; ``ground_m`` along up; ``spine`` from above the hips to the
+    chest, ``neck`` from above that to the head.
     """
 
     skeleton: Skeleton
@@ -36,6 +37,12 @@ class Body:
     spine: tuple[int, ...]
     neck: tuple[int, ...]
     surface: Character | None = None
+    on_all_fours: bool = False
+
+    @property
+    def along(self) -> Floats:
+        """Columns (3, 3) of what lies along the trunk: to the left, from the hips to the chest, and across both."""
+        return np.stack([self.left, self.forward, -self.up], axis=1) if self.on_all_fours else self.axes
 
     @property
     def up(self) -> Floats:
@@ -68,10 +75,10 @@ class Body:
                 return (rest_frames(self.skeleton)[joint] @ np.array([*offset, 1.0]))[:3]
         return None
 
-    def heading(self, side: str) -> Floats:
+    def heading(self, side: str, end_role: str = "foot", toes_role: str = "toes") -> Floats:
         """Where a foot points, level."""
-        foot = self.roles[f"{side}_foot"]
-        toes = self.roles.get(f"{side}_toes")
+        foot = self.roles[f"{side}_{end_role}"]
+        toes = self.roles.get(f"{side}_{toes_role}")
         end = self.places[toes] if toes is not None else self.tip(foot)
         if end is None:
             return self.forward
@@ -103,7 +110,7 @@ class Body:
 
 
 def read_body(skeleton: Skeleton, roles: Mapping[str, int], character: Character | None = None) -> Body:
-    """A humanoid at rest.
+    """A humanoid, or an animal on all fours, at rest.
 
     Raises:
         KeyposeError: where hips, head or a limb's joints have no role, or the joints lie in one place.
@@ -113,11 +120,13 @@ def read_body(skeleton: Skeleton, roles: Mapping[str, int], character: Character
         raise KeyposeError(f"no humanoid: nothing plays {', '.join(missing)}; name the joints in a map of roles")
     places = rest_frames(skeleton)[:, :3, 3]
     parents = tuple(int(p) for p in skeleton.parents)
-    axes = _axes(places, roles)
+    four = stands_on_all_fours(places, roles)
+    axes = _axes(places, roles, four)
     up = axes[:, 1]
-    ends = [roles[f"{s}_{p}"] for s in SIDES for p in ("foot", "toes") if f"{s}_{p}" in roles]
+    parts = ("foot", "toes", "hand") if four else ("foot", "toes")
+    ends = [roles[f"{s}_{p}"] for s in SIDES for p in parts if f"{s}_{p}" in roles]
     ground = min(float(places[j] @ up) for j in ends)
-    size = float(places[roles["head"]] @ up) - ground
+    size = max(float(places[roles[role]] @ up) for role in (("head", "hips") if four else ("head",))) - ground
     # ankles and toes lie a little above the soles: who stands on the origin's plane stands on the ground there
     if 0.0 < ground < 0.08 * size:
         size, ground = size + ground, 0.0
@@ -126,7 +135,7 @@ def read_body(skeleton: Skeleton, roles: Mapping[str, int], character: Character
     top = next((roles[r] for r in ("upper_chest", "chest", "spine") if r in roles), roles["hips"])
     spine = _between(skeleton, parents, roles["hips"], top)
     neck = _between(skeleton, parents, spine[-1] if spine else roles["hips"], roles["head"])
-    body = Body(skeleton, dict(roles), parents, places, axes, size, ground, 0.16 * size, spine, neck, character)
+    body = Body(skeleton, dict(roles), parents, places, axes, size, ground, 0.16 * size, spine, neck, character, four)
     lengths: list[float] = []
     for side in SIDES:
         toes = roles.get(f"{side}_toes")
@@ -136,10 +145,15 @@ def read_body(skeleton: Skeleton, roles: Mapping[str, int], character: Character
     return replace(body, foot_m=max(0.08 * size, float(np.mean(lengths)))) if lengths else body
 
 
-def _axes(places: Floats, roles: Mapping[str, int]) -> Floats:
+def _axes(places: Floats, roles: Mapping[str, int], four: bool) -> Floats:
     """Left, up and forward, along the file's axes where they are near."""
     feet = np.mean([places[roles[f"{s}_foot"]] for s in SIDES], axis=0)
     up = bone_of(places[roles["head"]] - feet)
+    if four:
+        ways = (("upper_leg", "foot"), ("upper_arm", "hand"))
+        up = bone_of(
+            np.sum([places[roles[f"{s}_{a}"]] - places[roles[f"{s}_{b}"]] for s in SIDES for a, b in ways], axis=0)
+        )
     across = places[roles["left_upper_leg"]] - places[roles["right_upper_leg"]]
     if float(np.linalg.norm(across)) < 1e-6:
         across = places[roles["left_upper_arm"]] - places[roles["right_upper_arm"]]

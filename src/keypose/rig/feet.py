@@ -9,12 +9,14 @@ from keypose.model import FootPivots
 from keypose.rig.body import Body
 
 
-def foot_pivots(body: Body, side: str, name: str, toes_control: str) -> FootPivots:
-    """The pivots of a foot at rest, on the ground under it."""
-    up, heading = body.up, body.heading(side)
+def foot_pivots(
+    body: Body, side: str, name: str, toes_control: str, end_role: str = "foot", toes_role: str = "toes"
+) -> FootPivots:
+    """The pivots of a foot, or of the hand of an animal on all fours, at rest, on the ground under it."""
+    up, heading = body.up, body.heading(side, end_role, toes_role)
     across = np.cross(up, heading)
-    ankle = body.places[body.roles[f"{side}_foot"]]
-    toes = body.roles.get(f"{side}_toes")
+    ankle = body.places[body.roles[f"{side}_{end_role}"]]
+    toes = body.roles.get(f"{side}_{toes_role}")
     length = body.foot_m
     ball = body.places[toes] if toes is not None else ankle + 0.5 * length * heading
     end = None if toes is None else body.tip(toes)
@@ -22,7 +24,7 @@ def foot_pivots(body: Body, side: str, name: str, toes_control: str) -> FootPivo
     tip = max(forward + 0.3 * length, float((end - ankle) @ heading) if end is not None else 0.0)
     heel, low = -0.22 * length, body.ground_m
     width = (-0.2 * length, 0.2 * length)
-    sole = _sole(body, side)
+    sole = _sole(body, body.roles[f"{side}_{end_role}"])
     if sole is not None:
         ahead, beside = (sole - ankle) @ heading, (sole - ball) @ across
         heel, tip, low = float(ahead.min()), float(ahead.max()), float((sole @ up).min())
@@ -44,14 +46,13 @@ def foot_pivots(body: Body, side: str, name: str, toes_control: str) -> FootPivo
     )
 
 
-def _sole(body: Body, side: str) -> Floats | None:
+def _sole(body: Body, foot: int) -> Floats | None:
     """The vertices (V, 3) that move most with a foot and lie near the ground."""
     if body.surface is None:
         return None
     from keypose import deform, evaluate
 
     character = body.surface
-    foot = body.roles[f"{side}_foot"]
     mine = {foot}
     for joint, parent in enumerate(body.parents):
         if parent in mine:
