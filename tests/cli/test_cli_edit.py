@@ -25,7 +25,10 @@ def places(scene: Scene) -> np.ndarray:
 
 
 def hips_and_hand(path: Path) -> np.ndarray:
-    scene = io.load(path)
+    return hips_and_hand_of(io.load(path))
+
+
+def hips_and_hand_of(scene: Scene) -> np.ndarray:
     body, at = scene.character.skeleton, places(scene)
     return at[:, [body.index("Hips"), body.index("LeftHand")]]
 
@@ -95,6 +98,23 @@ def test_the_figures_are_one_object_for_programs(tmp_path: Path) -> None:
     assert facts["after"]["skate_cm_s"] < 1
 
 
+def test_the_way_is_moved_in_a_frame_and_turned_as_a_whole(tmp_path: Path) -> None:
+    out = tmp_path / "out.bvh"
+    before = hips_and_hand_of(samples.load("walk"))[:, 0]
+    done = keypose("edit", "sample:walk", out, "--move-path", "60=0.3,0.1", "--ease", 0.8, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["path"]["knee_ratio"] < 1.5
+    moved = hips_and_hand(out)[:, 0] - before
+    np.testing.assert_allclose(moved[60, [0, 2]], [0.3, 0.1], atol=0.03)
+    np.testing.assert_allclose(moved[[0, 124]][:, [0, 2]], 0.0, atol=0.03)
+    assert keypose("edit", "sample:walk", out, "--turn-path", 90, "-q").returncode == 0
+    turned = hips_and_hand(out)[:, 0]
+    way, was = turned[-1] - turned[0], before[-1] - before[0]
+    # from +Z to +X, and all else as it was
+    np.testing.assert_allclose(way, [was[2], was[1], -was[0]], atol=0.03)
+    np.testing.assert_allclose(turned[:, 1], before[:, 1], atol=1e-4)
+
+
 def test_one_frame_has_no_path_but_a_pose(tmp_path: Path) -> None:
     still, out = tmp_path / "still.npz", tmp_path / "out.npz"
     walk = samples.load("walk")
@@ -125,6 +145,10 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path: Path) -> None:
         (Edits(follow="0,0"), "two places or more"),
         (Edits(follow=""), "two places or more"),
         (Edits(bend_deg=float("nan")), "expected degrees, got nan"),
+        (Edits(turn_deg=float("inf")), "expected degrees, got inf"),
+        (Edits(moves=["60"]), "expected FRAME=X,Z"),
+        (Edits(moves=["60=0.1"]), "expected 2 numbers"),
+        (Edits(moves=["125=0.1,0"]), "up to 124, got 125"),
         (Edits(), "no edit"),
         (Edits(loop=True, keep=["left_hand"]), "--keep"),
         (Edits(loop=True, spacetime=True), "--spacetime"),

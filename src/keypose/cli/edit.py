@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 
 SCHEMA = "keypose.edit/1"
 FEET = ("left_foot", "right_foot")
+_KNEES = 1.5  # times as much as before is more than planting allows knees where legs are long enough
 _REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
 _TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
+_MOVE = re.compile(r"^(?P<frame>\d+)=(?P<place>.+)$")
 _SPEED = re.compile(r"^(?P<number>[0-9.eE+-]+)(?P<unit>|x|m/s)$")
 
 
@@ -42,6 +44,9 @@ class Edits:
     follow: str | None = None
     stride: float | None = None
     speed: str | None = None
+    moves: Sequence[str] = ()
+    turn_deg: float | None = None
+    path_ease_s: float = 1.0
 
     @property
     def on_path(self) -> bool:
@@ -51,7 +56,8 @@ class Edits:
     @property
     def new_path(self) -> bool:
         """Whether the way changes."""
-        return self.loop or any(value is not None for value in (self.bend_deg, self.follow, self.stride))
+        given = (self.bend_deg, self.follow, self.stride, self.turn_deg)
+        return self.loop or bool(self.moves) or any(value is not None for value in given)
 
 
 @dataclass(slots=True)
@@ -76,6 +82,8 @@ class _Figures:
             if self.path.short_m > 0.001:
                 short = f"{100 * self.path.short_m:.1f} cm"
                 lines.append(f"a planted foot stays up to {short} from its place: the leg is too short")
+            if self.path.knee_ratio > _KNEES:
+                lines.append(f"knees accelerate up to {self.path.knee_ratio:.1f} times as before: the way is too tight")
         lines += [_missed(joint, error_m) for joint, error_m in self.reached]
         if not self.converged:
             lines.append("the solver had not come to rest")
@@ -92,6 +100,7 @@ class _Figures:
         if self.path is not None:
             length, turned = float(self.path.path.lengths_m[-1]), float(np.degrees(self.path.path.turning_rad))
             path = {"length_m": length, "turning_deg": turned, "short_cm": 100 * self.path.short_m}
+            path["knee_ratio"] = self.path.knee_ratio
         before, after = self.skate_cm_s
         return {
             "path": path,
@@ -141,13 +150,16 @@ def edit_file(
 def _check_asked(edits: Edits) -> None:
     """Refuse, before anything is read, what asks for nothing or for what cannot be."""
     if not (edits.reaches or edits.turns or edits.on_path):
-        raise ShapeError("no edit: expected --reach, --turn, --bend, --loop, --follow, --stride or --speed")
+        raise ShapeError(
+            "no edit: expected --reach, --turn, --bend, --loop, --follow, --stride, --move-path, --turn-path or --speed"
+        )
     if (edits.spacetime or edits.whole_body) and not edits.reaches:
         raise ShapeError("--whole-body, --spacetime: expected a --reach to go with them")
     if edits.keep and not (edits.turns or edits.spacetime or edits.whole_body):
         raise ShapeError("--keep: expected --turn, --whole-body or --spacetime to go with it")
-    if edits.bend_deg is not None and not np.isfinite(edits.bend_deg):
-        raise ShapeError(f"--bend: expected degrees, got {edits.bend_deg}")
+    for option, degrees in (("--bend", edits.bend_deg), ("--turn-path", edits.turn_deg)):
+        if degrees is not None and not np.isfinite(degrees):
+            raise ShapeError(f"{option}: expected degrees, got {degrees}")
 
 
 def _edited(
@@ -212,10 +224,14 @@ def _on_path(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], edits
         if len(drawn) < 2:
             raise ShapeError(f"--follow: expected two places or more such as '0,0 0,1 1,2', got '{edits.follow}'")
         path = paths.follow_points(path, np.array(drawn))
+    if edits.moves:
+        path = paths.move_path(path, _handles(edits.moves, motion.frame_count), edits.path_ease_s)
     if edits.bend_deg is not None:
         path = paths.bend_path(path, float(np.radians(edits.bend_deg)))
     if edits.loop:
         path = paths.close_path(path)
+    if edits.turn_deg is not None:
+        path = paths.turn_path(path, float(np.radians(edits.turn_deg)))
     done = paths.put_on_path(motion, skeleton, path, old=old, roles=roles)
     figures.path = done
     return done.motion
@@ -309,6 +325,20 @@ def _reach(text: str) -> Reach:
     if found["sign"]:
         return Reach(found["joint"], first, last, offset=place)
     return Reach(found["joint"], first, last, target=place)
+
+
+def _handles(moves: Sequence[str], frame_count: int) -> dict[int, tuple[float, ...]]:
+    """``60=0.3,0``: how far the way goes to the left and forwards in a frame."""
+    handles: dict[int, tuple[float, ...]] = {}
+    for text in moves:
+        found = _MOVE.match(text)
+        if found is None:
+            raise ShapeError(f"--move-path: expected FRAME=X,Z, got '{text}'")
+        frame = int(found["frame"])
+        if frame >= frame_count:
+            raise ShapeError(f"--move-path: expected a frame up to {frame_count - 1}, got {frame}")
+        handles[frame] = _numbers(found["place"], 2, "--move-path")
+    return handles
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:

@@ -33,6 +33,7 @@ verbs = typer.Typer()
         "keypose edit sample:walk out.glb --reach right_foot@40-60=+0,0.1,0 --ease 0.3",
         "keypose edit sample:walk circle.mp4 --loop [dim]# the straight walk round a circle, feet planted[/dim]",
         "keypose edit walk.bvh out.bvh --follow '0,0 0,1 1,2 3,2' --speed 1.2m/s",
+        "keypose edit walk.bvh out.bvh --move-path 60=0.3,0 --turn-path 90 [dim]# round something, and off to the left[/dim]",
         "keypose edit walk.bvh out.bvh --reach left_hand@60=0.3,0.3,0.5 --spacetime [dim]# with the whole body[/dim]",
     )
 )
@@ -55,7 +56,10 @@ def edit(
         list[str] | None,
         typer.Option("--keep", metavar="JOINT", help="With --turn, --whole-body and --spacetime: what stays."),
     ] = None,
-    ease: Annotated[float, typer.Option("--ease", help="Seconds in which an edit comes and goes.", min=0)] = 0.4,
+    ease: Annotated[
+        float | None,
+        typer.Option("--ease", help="Seconds in which an edit comes and goes: 0.4, for --move-path 1.", min=0),
+    ] = None,
     whole_body: Annotated[
         bool, typer.Option("--whole-body", help="Trunk and hips help where an arm or a leg is too short; feet stay.")
     ] = False,
@@ -66,6 +70,15 @@ def edit(
     loop: Annotated[bool, typer.Option("--loop", help="Close the way to a loop.")] = False,
     follow: Annotated[
         str | None, typer.Option("--follow", metavar="'X,Z X,Z ...'", help="A way drawn by places on the ground.")
+    ] = None,
+    move_path: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--move-path", metavar="FRAME=X,Z", help="The way moved by metres in a frame, and less around it."
+        ),
+    ] = None,
+    turn_path: Annotated[
+        float | None, typer.Option("--turn-path", help="Degrees by which the whole way is turned, to the left.")
     ] = None,
     stride: Annotated[float | None, typer.Option("--stride", help="How much longer steps are.", min=0.01)] = None,
     speed: Annotated[
@@ -84,7 +97,22 @@ def edit(
     from keypose.cli.edit import Edits, edit_file
     from keypose.cli.inputs import Reading
 
-    edits = Edits(reach or (), turn or (), keep or (), ease, whole_body, spacetime, bend, loop, follow, stride, speed)
+    edits = Edits(
+        reach or (),
+        turn or (),
+        keep or (),
+        0.4 if ease is None else ease,
+        whole_body,
+        spacetime,
+        bend,
+        loop,
+        follow,
+        stride,
+        speed,
+        move_path or (),
+        turn_path,
+        1.0 if ease is None else ease,
+    )
     edit_file(
         motion,
         output,
