@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from keypose import io
+from keypose.evaluate import to_motion
 from keypose.model import Motion
 from tests.cli.command import keypose, process, refused
 
@@ -40,6 +41,27 @@ def test_the_figures_are_one_object_for_programs(tmp_path: Path) -> None:
     assert facts["schema"] == "keypose.clean/1" and facts["frames"] == listed["frames"]
     assert facts["contacts"] == len(listed["contacts"]) and facts["ground"] == listed["ground"]
     assert facts["after"]["skate_cm_s"] <= facts["before"]["skate_cm_s"] + 1e-9 and facts["settled"]
+
+
+def test_a_face_goes_on_moving_where_the_file_holds_keys(tmp_path: Path) -> None:
+    take = tmp_path / "take.glb"
+    assert keypose("convert", "sample:walk", take, "-q").returncode == 0
+    moved = weights_of(take)
+    assert moved
+    for verb, *asked in (("clean",), ("edit", "--bend", 20)):
+        out = tmp_path / f"{verb}.glb"
+        done = keypose(verb, take, out, *asked, "-q")
+        assert done.returncode == 0, done.stderr
+        made = weights_of(out)
+        assert made.keys() == moved.keys()
+        assert all(np.abs(made[name] - moved[name]).max() < 1e-6 for name in moved)
+
+
+def weights_of(path: Path) -> dict[str, np.ndarray]:
+    """The weights of morphs at 60 Hz."""
+    scene = io.load(path)
+    motion = to_motion(scene.animations[0], scene.character.skeleton, 60.0)
+    return {name: np.asarray(motion.morph_weights)[:, n] for n, name in enumerate(motion.morph_names)}
 
 
 def test_clean_writes_contacts_as_events(tmp_path: Path) -> None:

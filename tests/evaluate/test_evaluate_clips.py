@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from keypose.errors import ShapeError
 from keypose.evaluate import (
     bake,
+    frame_rate,
     match,
     match_report,
-    reduce_keys,
     resample,
     sample,
     sample_clip,
@@ -21,6 +22,7 @@ from keypose.evaluate import (
     sample_morphs,
     sample_motion,
     to_clip,
+    to_motion,
     unmatched,
 )
 from keypose.math import quat
@@ -305,27 +307,21 @@ def test_resampling_up_and_down_gives_the_frames_back(rng: np.random.Generator) 
         resample(motion, 0)
 
 
-@pytest.mark.parametrize("tolerance", [5e-2, 1e-2])
-def test_reduced_curves_stay_within_the_tolerance_at_every_old_key(rng: np.random.Generator, tolerance: float) -> None:
-    times = np.arange(300) / 60
-    angle = np.sin(times * 3) + 0.3 * np.sin(times * 11)
-    clip = Clip(
-        {
-            Channel("a", R): Curve(times, quat.from_axis_angle([0.6, 0.8, 0.0], angle), kind=CurveKind.ROTATION),
-            Channel("a", T): Curve(times, np.stack([angle, times, 0 * times], axis=-1)),
-            Channel("a", S): Curve(times, np.ones((300, 3))),
-        }
-    )
-    reduced = reduce_keys(clip, tolerance)
-    for channel, curve in clip.curves.items():
-        short = reduced.curves[channel]
-        assert short.key_count < 0.5 * curve.key_count
-        again = sample_curve(short, times)
-        if channel.property is R:
-            assert quat.angle_between(again, curve.values).max() <= tolerance * (1 + 1e-9)
-        else:
-            assert np.linalg.norm(again - curve.values, axis=-1).max() <= tolerance
-    assert reduced.curve("a", S).key_count == 1
+def test_an_animation_of_any_kind_becomes_frames_with_its_morphs(rng: np.random.Generator) -> None:
+    motion = random_motion(rng, 25, 3, np.float64)
+    skeleton = named(*motion.joint_names)
+    assert to_motion(motion, skeleton).frame_count == to_motion(motion, skeleton, motion.rate_hz).frame_count == 25
+    clip = to_clip(motion)
+    again = to_motion(clip, skeleton)
+    assert again.rate_hz == motion.rate_hz and again.morph_names == tuple(sorted(motion.morph_names))
+    assert_array_equal(again.pose.rotations, motion.pose.rotations)
+    column = [again.morph_names.index(name) for name in motion.morph_names]
+    assert_array_equal(np.asarray(again.morph_weights)[:, column], motion.morph_weights)
+    assert to_motion(clip, skeleton, 96).frame_count == to_motion(motion, skeleton, 96).frame_count == 97
+    other = to_motion(clip, named(*(f"mixamorig:{name}" for name in motion.joint_names)))
+    assert_array_equal(other.pose.rotations, motion.pose.rotations)
+    uneven = replace(clip, rate_hz=None, curves={Channel("a", S): Curve([0.0, 0.1, 0.35], np.ones((3, 3)))})
+    assert frame_rate(uneven) == 30.0
 
 
 # --- names ------------------------------------------------------------------------------------------------------------

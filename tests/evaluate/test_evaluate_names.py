@@ -12,9 +12,9 @@ from keypose.model import Channel, Clip, Curve, Property
 
 def test_the_public_names() -> None:
     assert sorted(evaluate.__all__) == [
-        "CurveTable", "KeyedValue", "MatchReport", "PlainClip", "add", "bake", "bake_timeline", "blend", "difference", "exposed_times", "is_plain", "key_rate", "local", "match", "match_report",
-        "placement_duration", "placement_times", "plain_clip", "prepare_curves", "reduce_keys", "resample", "sample", "sample_clip", "sample_curve", "sample_curves",
-        "sample_morphs", "sample_motion", "sample_timeline", "sample_timeline_morphs", "sample_timeline_values", "sample_value", "snap_to_keys", "to_clip",
+        "CurveTable", "KeyedValue", "MatchReport", "PlainClip", "add", "bake", "bake_timeline", "blend", "difference", "exposed_times", "frame_rate", "is_plain", "key_rate", "local", "match", "match_report",
+        "placement_duration", "placement_times", "plain_clip", "prepare_curves", "resample", "sample", "sample_clip", "sample_curve", "sample_curves",
+        "sample_morphs", "sample_motion", "sample_timeline", "sample_timeline_morphs", "sample_timeline_values", "sample_value", "snap_to_keys", "to_clip", "to_motion",
         "unmatched", "value_for_result", "world", "world_rotations_positions",
     ]  # fmt: skip
     assert sorted(deform.__all__) == [

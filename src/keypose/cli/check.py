@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from keypose.cli.console import console
-from keypose.cli.inputs import AS_THEY_SAY, Reading, in_frames, open_input, open_inputs
+from keypose.cli.inputs import AS_THEY_SAY, Reading, open_input, open_inputs
 from keypose.cli.output import not_an_input, print_json, print_written
 from keypose.errors import FormatError
 from keypose.model import Motion, Pose, Scene, Skeleton
@@ -196,11 +196,13 @@ def _draw(
 
 def _motions(scene: Scene, reference: str, clip: str | None) -> tuple[Skeleton, list[Motion]]:
     """The skeleton and its animations as motions; only the named one if a name is given."""
+    from keypose.evaluate import to_motion
+
     if not scene.characters or not scene.animations:
         raise FormatError("it has no motion of a skeleton", path=reference)
     body = scene.character.skeleton
     chosen = scene.animations if clip is None else (scene.animation(clip),)
-    motions = [in_frames(a, body) for a in chosen if a.duration_s > 0]
+    motions = [to_motion(a, body) for a in chosen if a.duration_s > 0]
     if not motions:
         raise FormatError("its motions have one frame only", path=reference)
     return body, motions

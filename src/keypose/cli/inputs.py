@@ -14,8 +14,6 @@ from keypose.model import Character, Clip, Motion, Scene, Skeleton
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
 
-_FILM_HZ = 30.0  # of clips that name no rate and whose keys are at none
-
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -99,24 +97,9 @@ def motion_of(scene: Scene, reference: str, clip: str | None = None, rate_hz: fl
     """
     if not scene.characters or not scene.animations:
         raise FormatError("it has no motion of a skeleton", path=reference)
-    return in_frames(animation_of(scene, reference, clip), scene.character.skeleton, rate_hz)
+    from keypose.evaluate import to_motion
 
-
-def in_frames(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | None = None) -> Motion:
-    """An animation as a motion of a skeleton; clips at the rate that is asked for, else at that of `frame_rate`."""
-    from keypose.evaluate import bake, match, resample
-
-    if isinstance(animation, Clip):
-        return bake(animation, skeleton, rate_hz or frame_rate(animation))
-    motion = match(animation, skeleton)
-    return motion if rate_hz is None else resample(motion, rate_hz)
-
-
-def frame_rate(clip: Clip) -> float:
-    """By which frames of a clip count: its own rate, else that of its keys, else that of film on a screen, in Hz."""
-    from keypose.evaluate import key_rate
-
-    return clip.rate_hz or key_rate(clip) or _FILM_HZ
+    return to_motion(animation_of(scene, reference, clip), scene.character.skeleton, rate_hz)
 
 
 def read_roles(path: Path, skeleton: Skeleton) -> RoleMap:

@@ -15,8 +15,6 @@ from keypose.cli.inputs import (
     Reading,
     animation_of,
     body_of,
-    frame_rate,
-    in_frames,
     open_input,
     read_roles,
 )
@@ -164,12 +162,14 @@ def _stand(cast: Scene, roles: RoleMap | None, asked: str | None, name: str) -> 
 
 def _own_motion(cast: Scene) -> Motion | None:
     """A motion of the target's own in frames, None where its file has none."""
+    from keypose.evaluate import to_motion
+
     skeleton = cast.character.skeleton
     for animation in cast.animations:
         if isinstance(animation, Motion) and animation.joint_names == skeleton.names:
             return animation
         if isinstance(animation, Clip) and animation.duration_s > 0:
-            return in_frames(animation, skeleton)
+            return to_motion(animation, skeleton)
     return None
 
 
@@ -193,7 +193,7 @@ def _reference(scene: Scene, asked: str, name: str) -> Pose:
 
 def _frame(animation: Motion | Clip, character: Character, frame: int, name: str) -> Pose:
     """A frame of a motion as a pose."""
-    from keypose.evaluate import match, sample
+    from keypose.evaluate import frame_rate, match, sample
 
     if isinstance(animation, Motion):
         count = animation.frame_count
@@ -210,6 +210,7 @@ def _frame(animation: Motion | Clip, character: Character, frame: int, name: str
 def _compared(result: RetargetResult, skeleton: Skeleton, theirs: Scene) -> ReferenceReport:
     """What the result is beside somebody else's."""
     from keypose.analysis import find_roles
+    from keypose.evaluate import to_motion
     from keypose.retarget import compare_with_reference
 
     body = theirs.character
@@ -218,7 +219,7 @@ def _compared(result: RetargetResult, skeleton: Skeleton, theirs: Scene) -> Refe
         result.motion,
         skeleton,
         result.target.roles,
-        in_frames(theirs.animations[0], body.skeleton),
+        to_motion(theirs.animations[0], body.skeleton),
         body.skeleton,
         found.roles,
         result.touching,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from keypose.cli.console import console, counted, progress_bar
-from keypose.cli.inputs import AS_THEY_SAY, Reading, animation_of, body_of, in_frames, open_input, read_roles
+from keypose.cli.inputs import AS_THEY_SAY, Reading, animation_of, body_of, open_input, read_roles
 from keypose.cli.output import check_output, print_json, print_written
 from keypose.errors import FormatError
 from keypose.model import Character, Document, Rig, Scene, module_joints
@@ -71,7 +71,7 @@ def _fitted(
     quiet: bool,
 ) -> tuple[RigFit, tuple[str, ...]]:
     """A motion on the controls; one of another skeleton is retargeted first."""
-    from keypose.evaluate import match_report
+    from keypose.evaluate import match_report, to_motion
     from keypose.rig import fit_controls
 
     performed = open_input(motion, reading)
@@ -87,7 +87,7 @@ def _fitted(
         notes = ("its joints have other names; it was retargeted", *done.notes)
         frames = replace(done.motion, name=animation.name)
     else:
-        frames = in_frames(animation, who.skeleton, rate_hz)
+        frames = to_motion(animation, who.skeleton, rate_hz)
     frames = replace(frames, name=frames.name or Path(motion).stem)
     with progress_bar("fitting controls", quiet=quiet) as progress:
         return fit_controls(rig, who.skeleton, frames, progress=progress), notes

@@ -1,12 +1,12 @@
 """Curves at times, poses of skeletons, forward kinematics, blending, and the bridge between clips and motions."""
 
-from keypose.evaluate.baking import bake, reduce_keys, resample, snap_to_keys, to_clip
+from keypose.evaluate.baking import bake, resample, snap_to_keys, to_clip, to_motion
 from keypose.evaluate.blending import add, blend, difference
 from keypose.evaluate.curves import sample_curve
 from keypose.evaluate.kinematics import local, world, world_rotations_positions
 from keypose.evaluate.matching import MatchReport, match, match_report
 from keypose.evaluate.plain import PlainClip, is_plain, plain_clip
-from keypose.evaluate.rates import key_rate
+from keypose.evaluate.rates import frame_rate, key_rate
 from keypose.evaluate.sampling import sample, sample_clip, sample_morphs, sample_motion, sample_value, unmatched
 from keypose.evaluate.tables import CurveTable, prepare_curves, sample_curves
 from keypose.evaluate.timeline import (
@@ -32,6 +32,7 @@ __all__ = [
     "blend",
     "difference",
     "exposed_times",
+    "frame_rate",
     "is_plain",
     "key_rate",
     "local",
@@ -41,7 +42,6 @@ __all__ = [
     "placement_times",
     "plain_clip",
     "prepare_curves",
-    "reduce_keys",
     "resample",
     "sample",
     "sample_clip",
@@ -55,6 +55,7 @@ __all__ = [
     "sample_value",
     "snap_to_keys",
     "to_clip",
+    "to_motion",
     "unmatched",
     "value_for_result",
     "world",

@@ -10,6 +10,8 @@ import numpy as np
 
 from keypose.arrays import Array
 from keypose.errors import ShapeError
+from keypose.evaluate.matching import match
+from keypose.evaluate.rates import frame_rate
 from keypose.evaluate.sampling import sample_clip, sample_morphs, sample_motion
 from keypose.math import quat
 from keypose.model import ROTATION_ONLY, Channel, Clip, Curve, CurveKind, Interpolation, Motion, Property, Skeleton
@@ -51,6 +53,21 @@ def bake(
         morph_names=tuple(morph_names),
         morph_weights=weights,
     )
+
+
+def to_motion(animation: Clip | Motion, skeleton: Skeleton, rate_hz: float | None = None) -> Motion:
+    """An animation of any kind as frames of a skeleton's joints, found by name, with its morphs, at its own rate or another.
+
+    A clip's own rate is that of `frame_rate`.
+
+    Raises:
+        ShapeError: where the rate is not positive.
+    """
+    own = match(animation, skeleton)
+    if isinstance(own, Motion):
+        return own if rate_hz is None or rate_hz == own.rate_hz else resample(own, rate_hz)
+    morphs = sorted({c.target for c in own.curves if c.property is Property.WEIGHT})
+    return bake(own, skeleton, frame_rate(own) if rate_hz is None else rate_hz, morph_names=morphs)
 
 
 def to_clip(
@@ -122,17 +139,6 @@ def resample(motion: Motion, rate_hz: float) -> Motion:
     return replace(motion, pose=sample_motion(motion, times), rate_hz=rate_hz, morph_weights=weights)
 
 
-def reduce_keys(clip: Clip, tolerance: float = 1e-4) -> Clip:
-    """A clip with fewer keys that stays within ``tolerance`` of the old one at every old key.
-
-    Keys are left out of spans that are LINEAR throughout; other curves stay as they are. ``tolerance`` is in the units of
-    the values (metres, ratios, weights); for rotations it is the largest angle in radians.
-
-    Source: Ramer 1972 and Douglas & Peucker 1973, with the distance measured at equal times.
-    """
-    return replace(clip, curves={c: _reduced(curve, tolerance) for c, curve in clip.curves.items()})
-
-
 def snap_to_keys(clip: Clip, times_s: Array, tolerance_s: Array | float) -> Array:
     """Times (T,), each moved onto the clip's nearest key where one is within ``tolerance_s``.
 
@@ -175,48 +181,3 @@ def _tangents(values: Array, rate_hz: float) -> Array:
         return np.zeros_like(values)
     steps = (values[1:] - values[:-1]) * rate_hz
     return np.concatenate([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]]).astype(values.dtype)
-
-
-def _reduced(curve: Curve, tolerance: float) -> Curve:
-    count = curve.key_count
-    if count < 3 or not np.all(curve.modes[:-1] == Interpolation.LINEAR):
-        return curve
-    is_rotation = curve.kind is CurveKind.ROTATION
-    times, values = curve.times_s, np.asarray(curve.values, np.float64)
-    kept = np.zeros(count, bool)
-    kept[[0, -1]] = True
-    open_spans = [(0, count - 1)]
-    while open_spans:
-        a, b = open_spans.pop()
-        if b - a < 2:
-            continue
-        share = (times[a + 1 : b] - times[a]) / (times[b] - times[a])
-        old = values[a + 1 : b]
-        if is_rotation:
-            new = quat.slerp(values[a], values[b], share)
-            error = quat.angle_between(new, old)
-        else:
-            new = values[a] + share[:, None] * (values[b] - values[a])
-            error = np.linalg.norm(new - old, axis=-1)
-        worst = int(np.argmax(error))
-        if error[worst] > tolerance:
-            middle = a + 1 + worst
-            kept[middle] = True
-            open_spans += [(a, middle), (middle, b)]
-    if kept.sum() == 2 and np.array_equal(values[0], values[-1]) and curve.before is curve.after:
-        kept[-1] = False
-
-    def rows(array: Any) -> Any:
-        return None if array is None else array[kept]
-
-    return replace(
-        curve,
-        times_s=times[kept],
-        values=curve.values[kept],
-        modes=curve.modes[kept],
-        in_tangents=rows(curve.in_tangents),
-        out_tangents=rows(curve.out_tangents),
-        in_handles=rows(curve.in_handles),
-        out_handles=rows(curve.out_handles),
-        tangent_types=rows(curve.tangent_types),
-    )

@@ -11,6 +11,15 @@ _ON_FRAME = 0.02
 _COMMON_HZ = np.array([12, 15, 24000 / 1001, 24, 25, 30000 / 1001, 30, 48, 50, 60000 / 1001, 60, 90, 100, 120, 240])
 
 
+FALLBACK_RATE_HZ = 30.0
+"""Frames a second of a clip that states no rate and whose keys have none."""
+
+
+def frame_rate(clip: Clip) -> float:
+    """The rate in Hz by which frames of a clip count: that of `key_rate`, else `FALLBACK_RATE_HZ`."""
+    return key_rate(clip) or FALLBACK_RATE_HZ
+
+
 def key_rate(clip: Clip) -> float | None:
     """The rate in Hz whose frames hold every key of the clip, or None where the keys are not uniform.
 
