@@ -259,7 +259,7 @@ def test_whole_rates_survive_rounding(rate: int, digits: int) -> None:
         (lambda t: t.replace("2.5 11.0", "2.5 nan"), "line 29: expected a number, found 'nan'"),
         (lambda t: t.replace("2.5 11.0", "2.5 1e40"), "line 29: frame 1, channel 3: 1e+40 is not within ±1e+09"),
         (lambda t: t.replace(" 6.0 7.0\n", " 6.0"), "line 29: expected 12 numbers in each frame, found 11 in the last line (the file was cut?)"),
-        (lambda t: t.replace("1.0 91.0", "91.0"), "line 28: expected 12 numbers in each frame, found 11; in Python, load(path, truncated='keep')"),
+        (lambda t: t.replace("1.0 91.0", "91.0"), "line 28: expected 12 numbers in each frame, found 11; --option truncated=keep, in Python load(path, truncated='keep')"),
         (lambda t: t.replace("Frames: 2", "Frames: 3"), "line 26: Frames: says 3, but the file holds 24 numbers (2 frames of 12)"),
         (lambda t: t.replace("Frames: 2", "Frames: 1"), "line 26: Frames: says 1, but the file holds 24 numbers"),
         (lambda t: t.encode("utf-16"), "UTF-16"),

@@ -337,7 +337,7 @@ class _Lines:
         missing = self.columns.keys() - self.given
         if missing and self.text.fully_specified:
             first = next(name for name in self.columns if name in missing)
-            hint = "; in Python, load(path, truncated='keep') leaves a cut last frame out"
+            hint = "; --option truncated=keep, in Python load(path, truncated='keep'), leaves a cut last frame out"
             raise FormatError(
                 f"frame {self.frame} has no values for bone {shown(first)}, and the file says that it is fully specified{hint}",
                 where=f"line {number}",

@@ -271,7 +271,7 @@ class _Motion:
 
     def wrong_count(self) -> FormatError:
         """The error for more or fewer numbers than announced: the first line that differs, else the frame count."""
-        cure = "in Python, load(path, truncated='keep') takes the whole frames that are there"
+        cure = "--option truncated=keep, in Python load(path, truncated='keep'), takes the whole frames that are there"
         lines = list(self.lines())
         odd = next(((number, count) for number, count in lines if count != self.channels), None)
         if odd and len(lines) > 1:

@@ -221,7 +221,8 @@ def _table(
         values = np.empty((len(body.rotations), where.column_count))
         write_degrees(values, body.rotations, where)
     if gained and remembered.known:
-        notes.append(f"{len(gained)} joints got channels they did not have, for they move: {_listed(gained)}")
+        got = "1 joint got" if len(gained) == 1 else f"{len(gained)} joints got"
+        notes.append(f"{got} channels that were not there, for movement: {_listed(gained)}")
     adds = _adds(body, where.position_columns < where.column_count, remembered, notes)
     for joint in where.moving:
         for axis in range(3):

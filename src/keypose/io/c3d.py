@@ -185,8 +185,8 @@ class _Reader:
             return announced
         if not self.keep_whole_frames:
             raise FormatError(
-                f"{announced} frames of {size} bytes were announced, {there} are there (the file was cut?); in Python, "
-                "load(path, truncated='keep') takes those",
+                f"{announced} frames of {size} bytes were announced, {there} are there (the file was cut?); "
+                "--option truncated=keep, in Python load(path, truncated='keep'), takes those",
                 where=f"byte {len(self.data)}",
             )
         self.notes.append(f"{announced} frames were announced; {there} whole ones are there and were kept")
