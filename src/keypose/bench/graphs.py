@@ -24,12 +24,12 @@ def add(suite: Suite) -> None:
     """All rows of graphs."""
     skeleton, clips = _body()
     program = g.build(_full_graph(), skeleton, clips)
-    _check(suite, program)
+    checked = _check(suite, program)
     for count, name, unit in (
         (1000, "full graph, crowd 1,000", "us/character"),
         (10_000, "characters at 60 Hz on one core", "characters"),
     ):
-        call = _lively(program, count)
+        call = _lively(program, count, checked)
         reference = _one_by_one(program)
         note = f"2 blend spaces, 1 layer, state machine, {skeleton.joint_count} joints with scale"
         suite.case(name, unit, count, call, reference, "reference evaluator:", 1, note)
@@ -94,10 +94,10 @@ def _values(count: int) -> dict[str, Any]:
     }
 
 
-def _lively(program: g.Program, count: int) -> Callable[[], Any]:
+def _lively(program: g.Program, count: int, like: g.GraphCrowd) -> Callable[[], Any]:
     """A crowd, and a step in which some of its characters change state."""
     values = _values(count)
-    crowd = g.prepare_crowd(program, count, parameters=values)
+    crowd = g.prepare_crowd(program, count, parameters=values, like=like)
     rng = np.random.default_rng(3)
     turns = [rng.choice(count, max(int(count * _LIVELY), 1), replace=False) for _ in range(_FLIPS)]
     aiming = np.array(values["aiming"])
@@ -127,8 +127,8 @@ def _one_by_one(program: g.Program) -> Callable[[], Any]:
     return step
 
 
-def _check(suite: Suite, program: g.Program) -> None:
-    """The crowd is where the reference evaluator puts it, through many transitions."""
+def _check(suite: Suite, program: g.Program) -> g.GraphCrowd:
+    """A crowd that is where the reference evaluator puts it, through many transitions."""
     count = 4
     crowd = g.prepare_crowd(program, count)
     states = [g.init(crowd.program) for _ in range(count)]
@@ -146,6 +146,7 @@ def _check(suite: Suite, program: g.Program) -> None:
             worst = max(worst, float(np.linalg.norm(got[i] - true, axis=-1).max()))
     suite.check("crowd of graphs: metres from the reference evaluator", worst, 1e-4)
     suite.known("crowd of graphs off the reference", "mm", 1000 * worst, 0.1, "limit", "largest")
+    return crowd
 
 
 # --- the built-in human ---------------------------------------------------------------------------------------------------
