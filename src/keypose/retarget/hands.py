@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from keypose.analysis.contacts import LEG_M
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.editing.planting_paths import smooth_over
@@ -21,8 +22,6 @@ from keypose.math import quat
 from keypose.model import Pose
 from keypose.retarget.body import BodyFrames
 from keypose.retarget.posing import ankle_floor_m
-
-_LEG_M = 0.85  # the length of leg that limits in metres are meant for
 
 # Parts of a body that hands touch: the role whose frame counts and the role at the bone's other end.
 _TRUNK = ("hips", "neck")
@@ -104,7 +103,7 @@ def keep_hands(
     Source: after the relation of bodies by the places of their parts in each other's frames, as in Ho, Komura and Tai,
     "Spatial relationship preserving character motion adaptation" (SIGGRAPH 2010); here in closed form for arms alone.
     """
-    size = options.reach * own.leg_m / _LEG_M
+    size = options.reach * own.leg_m / LEG_M
     ease = _EASE_S * rate_hz
     now, where = (np.asarray(a, np.float64) for a in world_rotations_positions(other.skeleton, pose))
     sides = [
@@ -205,7 +204,7 @@ def _beside(
 def _ends(body: BodyFrames, frames: Floats, places: Floats, low: str, high: str) -> tuple[Floats, Floats]:
     start, end = places[:, body.roles[low]], places[:, body.roles[high]]
     if low == high:
-        up = np.array([0.0, _HEAD_M * body.leg_m / _LEG_M, 0.0])
+        up = np.array([0.0, _HEAD_M * body.leg_m / LEG_M, 0.0])
         end = start + quat.rotate(frames, np.broadcast_to(up, start.shape))
     return start, end
 
