@@ -213,7 +213,10 @@ export class Studio extends Player {
         const file = await loadScene(container);
         if (!this.known.has(entry.id)) file.dispose();
         else if (owner === "cast") this.enterCast(file);
-        else this.enter(file);
+        else {
+          this.enter(file);
+          for (const listener of this.openListeners) listener(file);
+        }
       } catch (error) {
         this.known.delete(entry.id);
         this.toast("error", `${entry.name} cannot be shown`, error instanceof Error ? error.message : String(error));
@@ -238,6 +241,9 @@ export class Studio extends Player {
     this.framed.add(file.name);
     for (const listener of this.castListeners) listener();
   }
+
+  /** Told of every file that has come, beside the characters of the project. */
+  readonly openListeners = new Set<(file: OpenFile) => void>();
 
   private enter(file: OpenFile): void {
     const first = this.files.length === 0;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from keypose.analysis import find_roles
 from keypose.analysis.roles import ROLES
 from keypose.cli.app import app
 from keypose.evaluate import bake, sample_timeline, world
-from keypose.model import Motion
+from keypose.model import Motion, Pose
 from keypose.project.file import from_bytes
 from keypose.retarget import ground_under, retarget
 from keypose.studio import StudioServer
@@ -34,13 +35,14 @@ PLAIN: dict[str, Any] = {
     "target_character": 0,
     "source_roles": None,
     "target_roles": None,
-    "source_reference": "auto",
-    "reference_s": 0.0,
-    "target_reference": "auto",
+    "source_reference": "",
+    "target_reference": "",
     "scale": None,
     "plant": True,
     "keep_hands": False,
+    "props": [],
     "rate_hz": None,
+    "against": "",
 }
 
 
@@ -55,6 +57,16 @@ def ask(server: StudioServer, **fields: Any) -> Any:
     assert headers["content-type"].startswith("application/json"), data
     assert status == 200
     return json.loads(data)
+
+
+def opened(server: StudioServer, *ids: str) -> StudioServer:
+    """The server once it has these scenes: they come after it listens."""
+    for id in ids:
+        for _ in range(400):
+            if not ask(server, type="retarget_subject", scene=id)["error"]:
+                break
+            time.sleep(0.05)
+    return server
 
 
 def motion_of(server: StudioServer, id: str) -> tuple[dict[str, Any], Any]:
@@ -201,10 +213,77 @@ def test_it_goes_into_the_project_as_one_step(server: StudioServer) -> None:
         assert np.abs(np.sum(shown.rotations * sent[frame], axis=-1)).min() > 1 - 1e-6
 
 
+def test_a_stand_may_be_a_moment_of_a_motion_or_of_another_file(start: Start) -> None:
+    walk = samples.load("walk")
+    take, skeleton = walk.animations[0], walk.character.skeleton
+    assert isinstance(take, Motion)
+    server = opened(start(("walk.glb", walk), ("human.glb", samples.open_scene("sample:human"))), "s1", "s2")
+    pose = take.pose.broadcast()
+    stand = Pose(pose.translations[12], pose.rotations[12], pose.scales[12])
+    expected = retarget(take, skeleton, skeleton, source_reference=stand, target_ground_m=ground_under(walk.character))
+
+    def places(**fields: Any) -> np.ndarray:
+        done = ask(server, **{**PLAIN, "source": "s1", "target": "s2", **fields})
+        assert done["error"] == ""
+        header, read = motion_of(server, done["id"])
+        return read(header["animations"][0]["rotations"])
+
+    moment = str(take.start_s + 12 / take.rate_hz)
+    own = places(source_reference=moment)
+    np.testing.assert_allclose(own, expected.motion.pose.broadcast().rotations, atol=1e-6)
+    assert np.abs(own - places()).max() > 0.01
+    # of another file of the same rig it is the same pose
+    np.testing.assert_allclose(places(source_reference=f"s1:{moment}"), own, atol=1e-5)
+    np.testing.assert_allclose(places(target_reference="s1:rest"), places(target_reference="rest"), atol=1e-5)
+    for wrong in ("now", "s1:", "s9:0", "s1:nan", "-"):
+        assert ask(server, **{**PLAIN, "source_reference": wrong})["error"], wrong
+
+
+def test_hands_keep_to_props(server: StudioServer) -> None:
+    free = ask(server, **PLAIN)
+    walk = samples.load("walk")
+    hand = walk.character.skeleton.names.index("LeftHand")
+    at = np.asarray(world(walk.character.skeleton, _motion(walk).pose))[30, hand, :3, 3].tolist()
+    held = ask(server, **{**PLAIN, "scale": 1.0, "props": [at]})
+    assert held["error"] == "" and free["hands_off_cm"] is None and held["hands_off_cm"] >= 0.0
+    # on the same body in the same place, over the ground of each
+    body = walk.character
+    same = retarget(walk.animations[0], body.skeleton, body.skeleton, scale=1.0, target_ground_m=ground_under(body))
+    lifted = [at[0], at[1] + same.target.ground_m - same.source.ground_m, at[2]]
+    assert np.ravel(held["props"]) == pytest.approx([*at, *lifted], abs=1e-6)
+    moved = [lifted[0] + 0.05, lifted[1] + 0.05, lifted[2]]
+    there = ask(server, **{**PLAIN, "scale": 1.0, "props": [at + moved]})
+    assert np.ravel(there["props"]) == pytest.approx(at + moved)
+
+    def reached(done: dict[str, Any]) -> np.ndarray:
+        header, read = motion_of(server, done["id"])
+        sent = header["animations"][0]
+        pose = Pose(read(sent["translations"])[30], read(sent["rotations"])[30], body.skeleton.rest.scales)
+        return np.asarray(world(body.skeleton, pose))[hand, :3, 3]
+
+    np.testing.assert_allclose(reached(there) - reached(held), np.subtract(moved, lifted), atol=0.01)
+    assert "prop" in ask(server, **{**PLAIN, "props": [[0.0, 1.0]]})["error"]
+
+
+def test_a_result_is_set_beside_somebody_elses(start: Start) -> None:
+    server = opened(start(("walk.glb", samples.load("walk")), ("arm.glb", arm_scene())), "s1", "s2")
+    done = ask(server, **{**PLAIN, "source": "s1", "against": "s1"})
+    assert done["error"] == ""
+    beside = done["beside"]
+    assert beside["name"] == "walk.glb" and beside["error"] == ""
+    assert abs(beside["turned_deg"]) < 0.1 and beside["shift_s"] == 0.0
+    assert beside["direction_deg"]["arms"] < 0.1 and beside["frames"] == done["frames"]
+    assert ask(server, **{**PLAIN, "source": "s1"})["beside"] is None
+    # what cannot be compared leaves the motion as it is
+    other = ask(server, **{**PLAIN, "source": "s1", "against": "s2"})
+    assert other["error"] == "" and other["scene"] and other["beside"]["error"]
+    assert ask(server, **{**PLAIN, "source": "s1", "against": "s9"})["error"]
+
+
 @pytest.mark.data
 def test_a_real_pair_as_the_command_makes_it(start: Start, data_dir: Path, tmp_path: Path) -> None:
     take, cast = data_dir / "asf_amc" / "cmu_02" / "02_01.amc", data_dir / "fbx" / "ozz_pab" / "arnaud.fbx"
-    server = start(("02_01.amc", io.load(take)), ("arnaud.fbx", io.load(cast)))
+    server = opened(start(("02_01.amc", io.load(take)), ("arnaud.fbx", io.load(cast))), "s1", "s2")
     done = ask(server, **{**PLAIN, "source": "s1", "target": "s2"})
     assert done["error"] == ""
     assert done["slide_cm_s"] < 1.0 < done["loose_slide_cm_s"]

@@ -1056,13 +1056,14 @@ export interface RetargetRequest {
   target_character: number;
   source_roles: Record<string, string> | null;
   target_roles: Record<string, string> | null;
-  source_reference: "auto" | "rest" | "time";
-  reference_s: number;
-  target_reference: "auto" | "rest";
+  source_reference: string;
+  target_reference: string;
   scale: number | null;
   plant: boolean;
   keep_hands: boolean;
+  props: number[][];
   rate_hz: number | null;
+  against: string;
 }
 
 export type RetargetAsked = RetargetSubjectRequest | RetargetRolesRequest | RetargetRequest;
@@ -1093,6 +1094,18 @@ export interface RetargetFoot {
   target_slides_cm_s: number[];
 }
 
+/** A retargeted motion beside somebody else's result; ``error`` says why they cannot be compared. */
+export interface RetargetBeside {
+  name: string;
+  error: string;
+  direction_deg: Record<string, number>;
+  mean_direction_deg: number;
+  turned_deg: number;
+  shift_s: number;
+  slide_cm_s: number;
+  frames: number;
+}
+
 /** The motion on the target and its figures; ``error`` says why there is none. */
 export interface RetargetDone {
   id: string;
@@ -1112,6 +1125,8 @@ export interface RetargetDone {
   sink_cm: number;
   contact_frames: number;
   hands_off_cm: number | null;
+  props: number[][];
+  beside: RetargetBeside | null;
   feet: RetargetFoot[];
   exports: string[];
   notes: string[];

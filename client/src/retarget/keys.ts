@@ -3,6 +3,7 @@
 import { transportShortcuts, type Shortcut } from "../shortcuts";
 import { studio } from "../studio.svelte";
 import type { View } from "../view/camera";
+import { savePicture } from "./outputs";
 import { retarget } from "./retarget.svelte";
 
 export function retargetShortcuts(open: () => void): Shortcut[] {
@@ -30,7 +31,7 @@ export function retargetShortcuts(open: () => void): Shortcut[] {
     roles("Escape", "No role is chosen", () => retarget.chooseRole(null)),
     win("M", "To the view page", () => studio.turnTo("view")),
     win("O", "Open files", open),
-    win("V", "Save a picture", () => void retarget.screenshot()),
+    win("V", "Save a picture", () => void savePicture()),
     win("T", "Dark or light theme", () => studio.setTheme(studio.theme === "dark" ? "light" : "dark")),
     win("2", "Panel", () => (retarget.panel = !retarget.panel)),
     win("Ctrl+Z", "Undo a change of roles", () => retarget.history.undo()),

@@ -10,6 +10,7 @@ import type { View } from "../view/camera";
 import type { Theme } from "../view/palette";
 import { Viewport } from "../view/viewport";
 import { Prints } from "./prints";
+import { PropMarks } from "./prop-marks";
 
 export const SIDES = ["source", "target"] as const;
 export type SideName = (typeof SIDES)[number];
@@ -29,6 +30,7 @@ export class Pair {
   readonly clock = new Clock();
   readonly views: Record<SideName, Viewport>;
   readonly prints: Record<SideName, Prints> = { source: new Prints(), target: new Prints() };
+  private readonly props: Record<SideName, PropMarks> = { source: new PropMarks(), target: new PropMarks() };
   /** Called in every frame that changed. */
   onFrame: (time: number, posed: boolean) => void = () => {};
   onStop: () => void = () => {};
@@ -67,9 +69,10 @@ export class Pair {
   show(side: SideName, actor: Actor | null): void {
     const view = this.views[side], prints = this.prints[side];
     prints.group.removeFromParent();
+    this.props[side].group.removeFromParent();
     view.present(actor ? [actor] : []);
     view.active = actor;
-    if (actor) actor.root.add(prints.group);
+    actor?.root.add(prints.group, this.props[side].group);
     this.applyLook();
     this.frame("three-quarter", true);
   }
@@ -86,11 +89,20 @@ export class Pair {
     this.views[side].invalidate();
   }
 
+  /** Where hands hold on to something: six numbers each, in the source's world and in the target's. */
+  showProps(places: readonly (readonly number[])[]): void {
+    for (const [n, side] of SIDES.entries()) {
+      this.props[side].show(places.map((numbers) => numbers.slice(3 * n, 3 * n + 3)), 0.028 * (this.actor(side)?.height ?? 1.7));
+      this.views[side].invalidate();
+    }
+  }
+
   // ---- how it looks ------------------------------------------------------------------------------------------------
 
   setTheme(theme: Theme): void {
     for (const side of SIDES) {
       this.prints[side].paint(...PRINT_COLORS[theme]);
+      this.props[side].paint(theme);
       this.views[side].setTheme(theme);
     }
   }
@@ -109,6 +121,7 @@ export class Pair {
       view.display = { ...view.display, bones: skeleton, grid, follow: follow && this.picking === null };
       view.surface = surface;
       this.prints[side].group.visible = prints && this.picking !== side;
+      this.props[side].group.visible = this.picking !== side;
       if (this.picking !== side) view.marks = NO_MARKS;
       view.applyDisplay();
     }
@@ -193,6 +206,7 @@ export class Pair {
   dispose(): void {
     for (const side of SIDES) {
       this.prints[side].dispose();
+      this.props[side].dispose();
       this.views[side].dispose();
     }
   }

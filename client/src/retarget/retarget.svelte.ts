@@ -3,8 +3,7 @@
 import type { Animation } from "../anim/animation";
 import { Clock } from "../anim/clock";
 import type { Rig } from "../anim/rig";
-import { editor } from "../edit/editor.svelte";
-import type { EditResult, RetargetAsked, RetargetDone, RetargetRoles, RetargetSubject } from "../generated/messages";
+import type { RetargetAsked, RetargetDone, RetargetRoles, RetargetSubject } from "../generated/messages";
 import { History } from "../history.svelte";
 import { save } from "../net/download";
 import { Player } from "../player.svelte";
@@ -14,9 +13,15 @@ import type { Actor } from "../view/actor";
 import { SIDES, type Look, type Pair, type SideName } from "./pair";
 import type { Print } from "./prints";
 import { assigned, fromJson, labelOf, mirrored, missingOf, toJson, type RoleTable } from "./roles";
-import { discard, mostHuman, PLAIN, requestOf, standsAtRest, stem, type Options, type Subject } from "./subjects";
+import { discard, mostHuman, PLAIN, requestOf, sameRig, standsAtRest, stem, type Options, type Prop, type Stand, type Subject } from "./subjects";
 
 const SETTLE_MS = 140;
+
+/** What the files that are sent now are for: one of the two bodies, its stand, or a result to set beside. */
+interface Expected {
+  readonly side: SideName;
+  readonly as: "subject" | "stand" | "against";
+}
 
 export class Retarget extends Player {
   subjects = $state.raw<Readonly<Record<SideName, Subject | null>>>({ source: null, target: null });
@@ -62,7 +67,9 @@ export class Retarget extends Player {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private entered = false;
   private followChosen = false;
-  private expecting: SideName | null = null;
+  private expecting: Expected | null = null;
+  /** Ids of files on their way that are no body of this page, and what they are for. */
+  private readonly awaited = new Map<string, Expected>();
   private framed = "";
   private revised = 0;
 
@@ -114,6 +121,10 @@ export class Retarget extends Player {
     studio.messageListeners.add((message) => {
       if (message.type === "scene_ready" && studio.page === "retarget") void this.adopt(message.scene.id);
     });
+    studio.openListeners.add((file) => {
+      const wanted = this.awaited.get(file.id);
+      if (wanted && this.awaited.delete(file.id)) this.adoptBeside(file, wanted);
+    });
     // what was opened is announced at about the same time as the upload's end
     studio.uploadListeners.add(() => setTimeout(() => (this.expecting = null), 1000));
     const files = studio.files.filter((file) => file.actors.length > 0);
@@ -139,8 +150,8 @@ export class Retarget extends Player {
   // ---- subjects ----------------------------------------------------------------------------------------------------
 
   /** The files that are sent now are for this side. */
-  expect(side: SideName): void {
-    this.expecting = side;
+  expect(side: SideName, as: Expected["as"] = "subject"): void {
+    this.expecting = { side, as };
   }
 
   private async fetched(reference: string, side: SideName | null): Promise<{ told: RetargetSubject; file: OpenFile } | null> {
@@ -154,8 +165,12 @@ export class Retarget extends Player {
 
   /** A file that was opened while this page is seen takes the side that it was dropped on, or that suits it. */
   private async adopt(reference: string): Promise<void> {
-    const wanted = this.expecting;
+    const wanted = this.expecting?.as === "subject" ? this.expecting.side : null;
     try {
+      if (this.expecting && this.expecting.as !== "subject") {
+        this.awaited.set(reference, this.expecting);
+        return;
+      }
       const found = await this.fetched(reference, null);
       if (!found || found.file.actors.length === 0) return;
       const { hasMesh, animations, name } = found.file, moves = animations.length > 0;
@@ -172,6 +187,14 @@ export class Retarget extends Player {
     } catch (error) {
       this.refuse(reference, error);
     }
+  }
+
+  /** A file that was opened for how a body stands, or to set this result beside. */
+  private adoptBeside(file: OpenFile, { side, as }: Expected): void {
+    const moves = file.animations.length > 0, actor = this.actor(side);
+    if (as === "against" && moves && file.actors.length > 0) this.set({ against: file.id });
+    else if (as === "stand" && actor && file.actors.length > 0 && sameRig(file.actors[0].rig, actor.rig)) this.setStand(side, this.momentOf(file));
+    else studio.toast("info", `${file.name} does not fit`, as === "against" ? "It has no motion to compare with." : "Its skeleton is of another rig: not even half of the joints have the same names.");
   }
 
   async choose(side: SideName, reference: string): Promise<void> {
@@ -226,10 +249,9 @@ export class Retarget extends Player {
       this.role = null;
       if (side === "source") this.followChosen = false;
     }
-    if (side === "source") {
-      this.options.sourceReference = this.options.sourceReference === "time" ? "auto" : this.options.sourceReference;
-      this.takePace();
-    }
+    if (side === "source") this.takePace();
+    // a moment of another motion, or of another rig, says nothing of this one
+    if (this.options.stands[side].kind === "moment") this.options.stands = { ...this.options.stands, [side]: PLAIN.stands[side] };
     // the old motion is no longer that of these two
     this.result = null;
     this.done = null;
@@ -340,6 +362,7 @@ export class Retarget extends Player {
     this.error = error;
     this.done = null;
     this.result = null;
+    this.pair?.showProps([]);
     this.perform();
   }
 
@@ -347,6 +370,7 @@ export class Retarget extends Player {
     this.done = done;
     this.error = "";
     this.result = animation;
+    this.pair?.showProps(done.props);
     this.perform();
     const pairName = `${this.subjects.source!.file.id} ${this.subjects.source!.animation} ${this.subjects.target!.file.id}`;
     if (this.framed === pairName) return;
@@ -367,7 +391,43 @@ export class Retarget extends Player {
   }
 
   get isPlain(): boolean {
-    return Object.entries(PLAIN).every(([name, value]) => this.options[name as keyof Options] === value || (name === "referenceTime" && this.options.sourceReference !== "time"));
+    return JSON.stringify(this.options) === JSON.stringify(PLAIN);
+  }
+
+  setStand(side: SideName, stand: Stand): void {
+    this.set({ stands: { ...this.options.stands, [side]: stand } });
+  }
+
+  /** How somebody stands in a file: in its first frame, or at rest where it has no motion. */
+  momentOf(file: OpenFile): Stand {
+    return { kind: "moment", scene: file.id, name: file.name, time: this.firstTime(file.id), rate: file.animations[0]?.rate ?? 30 };
+  }
+
+  /** When the motion of an open file begins; null where it has none. */
+  firstTime(scene: string): number | null {
+    return studio.files.find((file) => file.id === scene)?.animations[0]?.start ?? null;
+  }
+
+  /** Something that hands hold on to, where a hand of the source is now. */
+  addProp(role: "left_hand" | "right_hand"): void {
+    const actor = this.actor("source"), joint = this.table("source")[role];
+    const index = actor && joint !== undefined ? actor.rig.index(joint) : -1;
+    if (!actor || index < 0) {
+      studio.toast("info", `${labelOf(role)} is not known`, "Say on the Roles tab which joint it is.");
+      return;
+    }
+    actor.evaluate(this.now);
+    const { x, y, z } = actor.jointPosition(index, actor.measuredRoot.clone());
+    const round = (n: number) => Math.round(1000 * n) / 1000;
+    this.set({ props: [...this.options.props, { source: [round(x), round(y), round(z)], target: null }] });
+  }
+
+  changeProp(at: number, prop: Prop): void {
+    this.set({ props: this.options.props.map((old, n) => (n === at ? prop : old)) });
+  }
+
+  removeProp(at: number): void {
+    this.set({ props: this.options.props.filter((_, n) => n !== at) });
   }
 
   // ---- looking -----------------------------------------------------------------------------------------------------
@@ -527,58 +587,6 @@ export class Retarget extends Player {
     } catch (error) {
       studio.toast("error", `${name} is no map for this skeleton`, error instanceof Error ? error.message : String(error));
     }
-  }
-
-  // ---- where it goes -----------------------------------------------------------------------------------------------
-
-  async saveAs(kind: string): Promise<void> {
-    const { done } = this;
-    if (!done || this.saving) return;
-    this.saving = kind;
-    try {
-      save(await studio.connection.file(`api/retarget/${done.id}/${kind}`), `${stem(this.subjects.target!.name)}-${stem(done.name)}.${kind}`);
-    } catch (error) {
-      studio.toast("error", `It cannot be written as ${kind.toUpperCase()}`, error instanceof Error ? error.message : String(error));
-    } finally {
-      this.saving = "";
-    }
-  }
-
-  async sendToEdit(): Promise<void> {
-    const { done } = this;
-    if (!done || this.saving) return;
-    this.saving = "edit";
-    try {
-      const result = await studio.connection.post<EditResult>(`api/retarget/${done.id}/edit`, new Blob([]));
-      if (result.error) throw new Error(result.error);
-      studio.turnTo("edit");
-      this.activateIn(result.report);
-    } catch (error) {
-      studio.toast("error", "It was not added to the project", error instanceof Error ? error.message : String(error));
-    } finally {
-      this.saving = "";
-    }
-  }
-
-  /** The character that was sent is the one that is edited, as soon as it is there. */
-  private activateIn(character: string): void {
-    const activate = () => {
-      const actor = editor.actorOf(character);
-      if (!actor) return;
-      studio.castListeners.delete(activate);
-      editor.activate(character);
-      // it is framed where it begins, not where it stands at rest
-      editor.perform();
-      actor.measurePerformance();
-      studio.view.pose();
-      studio.view.frameAll("three-quarter", true);
-    };
-    studio.castListeners.add(activate);
-    activate();
-  }
-
-  async screenshot(): Promise<void> {
-    if (this.pair) save(await this.pair.screenshot(), `retarget-${stem(this.done?.name ?? "rest")}.png`);
   }
 }
 

@@ -17,19 +17,51 @@ export interface Subject {
   readonly animation: number;
 }
 
+/** The pose in which a body is taken to stand: the best that is found, its rest pose, or a moment of a motion. */
+export type Stand = { readonly kind: "auto" } | { readonly kind: "rest" } | Moment;
+
+/** A moment of the body's own motion, or of another open file of the same rig. */
+export interface Moment {
+  readonly kind: "moment";
+  /** Id of the scene; empty for the body's own. */
+  readonly scene: string;
+  readonly name: string;
+  /** Null for that file's rest pose. */
+  readonly time: number | null;
+  readonly rate: number;
+}
+
+export type Place = readonly [number, number, number];
+
+/** Something that hands hold on to: where it is in the source's world, and in the target's where that is not the same, scaled. */
+export interface Prop {
+  readonly source: Place;
+  readonly target: Place | null;
+}
+
 export interface Options {
   /** Null goes by the lengths of the legs. */
   scale: number | null;
   plant: boolean;
   keepHands: boolean;
-  sourceReference: "auto" | "rest" | "time";
-  referenceTime: number;
-  targetReference: "auto" | "rest";
+  stands: Readonly<Record<SideName, Stand>>;
+  props: readonly Prop[];
   rate: number | null;
+  /** Id of a scene with somebody else's result, which is set beside this one; empty for none. */
+  against: string;
 }
 
+const AUTO: Stand = { kind: "auto" };
+
 /** As the command line does it. */
-export const PLAIN: Options = { scale: null, plant: true, keepHands: false, sourceReference: "auto", referenceTime: 0, targetReference: "auto", rate: null };
+export const PLAIN: Options = { scale: null, plant: true, keepHands: false, stands: { source: AUTO, target: AUTO }, props: [], rate: null, against: "" };
+
+/** A stand as the server is asked for it. */
+export function referenceOf(stand: Stand): string {
+  if (stand.kind !== "moment") return stand.kind === "rest" ? "rest" : "";
+  const moment = stand.time === null ? "rest" : String(stand.time);
+  return stand.scene ? `${stand.scene}:${moment}` : moment;
+}
 
 /** What the server is asked for. */
 export function requestOf(source: Subject, target: Subject, options: Readonly<Options>, maps: Readonly<Record<SideName, RoleTable | null>>): RetargetRequest {
@@ -42,13 +74,14 @@ export function requestOf(source: Subject, target: Subject, options: Readonly<Op
     target_character: target.character,
     source_roles: maps.source && { ...maps.source },
     target_roles: maps.target && { ...maps.target },
-    source_reference: options.sourceReference,
-    reference_s: options.referenceTime,
-    target_reference: options.targetReference,
+    source_reference: referenceOf(options.stands.source),
+    target_reference: referenceOf(options.stands.target),
     scale: options.scale,
     plant: options.plant,
     keep_hands: options.keepHands,
+    props: options.props.map(({ source: place, target: there }) => [...place, ...(there ?? [])]),
     rate_hz: options.rate,
+    against: options.against,
   };
 }
 
@@ -72,6 +105,13 @@ export function standsAtRest(rig: Rig | null, table: RoleTable, found: RetargetR
     const [x, y, z] = [0, 1, 2].map((axis) => world[to + axis] - world[from + axis]);
     return y > 0.6 * Math.hypot(x, y, z);
   });
+}
+
+/** Whether two skeletons are of one rig: half of the joints have the same names, as keypose.retarget.pose_of_other tells it. */
+export function sameRig(a: Rig, b: Rig): boolean {
+  const plain = (name: string) => name.slice(name.lastIndexOf(":") + 1).toLowerCase();
+  const known = new Set(a.names.map(plain));
+  return 2 * b.names.filter((name) => known.has(plain(name))).length >= b.names.length;
 }
 
 /** A name as a part of a file's name. */

@@ -23,7 +23,7 @@ export const retargetHooks = {
     playing: retarget.playing,
     look: { ...retarget.look },
     prints: Object.fromEntries(SIDES.map((side) => [side, retarget.prints[side].map((print) => ({ ...print }))])),
-    options: { ...retarget.options },
+    options: JSON.parse(JSON.stringify(retarget.options)) as unknown,
   }),
   /** Model-space joint positions of one side as they are shown now. */
   retargetPositions: (side: SideName): number[][] => {

@@ -14,10 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from keypose.errors import KeyposeError, UnknownName
-from keypose.model import Character, Clip, Motion, Pose, Scene
+from keypose.model import Character, Clip, Motion, Scene
 from keypose.project.commands import AddCharacter, Command, RemoveClip, SetTimeline, import_clip
 from keypose.studio import messages
 from keypose.studio import retarget_messages as r
@@ -25,6 +23,7 @@ from keypose.studio.edit_messages import EditResult
 from keypose.studio.edit_wire import complaint
 from keypose.studio.editing import exports
 from keypose.studio.payload import encode
+from keypose.studio.retarget_inputs import beside, named_scenes, placed_props, props_of, source_stand, target_stand
 
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
@@ -97,10 +96,11 @@ class Retargeting:
         try:
             source = await self._session.find_scene(asked.source)
             target = await self._session.find_scene(asked.target)
+            others = {id: await self._session.find_scene(id) for id in named_scenes(asked)}
             async with self._turn:
                 label = f"Retargeting {_animation(source, asked.animation).name or 'the motion'}"[:80]
                 self._session.broadcast(messages.Progress("progress", job, label, None, done=False), job)
-                return await asyncio.to_thread(self._retargeted, asked, source, target)
+                return await asyncio.to_thread(self._retargeted, asked, source, target, others)
         except _REFUSALS as error:
             return _refused(complaint(error))
         finally:
@@ -141,23 +141,32 @@ class Retargeting:
                 del self._samples[next(iter(self._samples))]
         return self._samples[name].entry
 
+    def _name(self, source: str) -> str:
+        entry = self._session.entry(source)
+        return source if entry is None else entry.name
+
     def _result(self, id: str) -> _Kept:
         if id not in self._results:
             raise UnknownName("retargeted motion", id[:20], list(self._results))
         return self._results[id]
 
-    def _retargeted(self, asked: r.RetargetRequest, source: Scene, target: Scene) -> r.RetargetDone:
+    def _retargeted(
+        self, asked: r.RetargetRequest, source: Scene, target: Scene, others: Mapping[str, Scene]
+    ) -> r.RetargetDone:
         from keypose.editing.planting import PlantOptions
         from keypose.retarget import HandOptions, ground_under, retarget
+        from keypose.retarget.scenes import frames_of, own_motion
         from keypose.studio.retarget_feet import found_feet
 
         own, other = _character(source, asked.source_character), _character(target, asked.target_character)
         began = time.perf_counter()
-        motion = _as_motion(_animation(source, asked.animation), own, asked.rate_hz)
+        animation = _animation(source, asked.animation)
+        motion = frames_of(animation, own.skeleton, asked.rate_hz)
 
         roles = _roles(own, asked.source_roles), _roles(other, asked.target_roles)
-        source_reference = _source_reference(own, motion, asked.source_reference, asked.reference_s)
-        target_reference, said = _target_reference(other, roles[1], asked.target_reference)
+        source_reference = source_stand(own, animation, asked.source_reference, others)
+        target_reference, said = target_stand(other, target.animations, roles[1], asked.target_reference, others)
+        props = props_of(asked)
 
         def run(plant: PlantOptions | None, hands: HandOptions | None) -> RetargetResult:
             return retarget(
@@ -168,17 +177,20 @@ class Retargeting:
                 target_roles=roles[1],
                 source_reference=source_reference,
                 target_reference=target_reference,
-                target_motion=_own_motion(target, other),
+                target_motion=own_motion(other, target.animations) if target_reference is None else None,
                 target_ground_m=ground_under(other, target_reference),
                 scale=asked.scale,
                 plant=plant,
                 hands=hands,
             )
 
-        done = run(PlantOptions() if asked.plant else None, HandOptions() if asked.keep_hands else None)
+        done = run(
+            PlantOptions() if asked.plant else None, HandOptions(props=props) if asked.keep_hands or props else None
+        )
         took = time.perf_counter() - began
         loose = run(None, None).report.slide_cm_s if asked.plant else done.report.slide_cm_s
-        name = _animation(source, asked.animation).name or PurePath(asked.source.removeprefix("sample:")).stem
+        scale = done.target.leg_m / done.source.leg_m if asked.scale is None else asked.scale
+        name = animation.name or PurePath(asked.source.removeprefix("sample:")).stem
         result = replace(done.motion, name=name)
         kept = self._keep(Scene((other,), (result,), format="retarget", unit_m=target.unit_m), name)
         report = done.report
@@ -190,7 +202,7 @@ class Retargeting:
             frames=result.frame_count,
             rate_hz=float(result.rate_hz),
             took_s=took,
-            scale=done.target.leg_m / done.source.leg_m if asked.scale is None else asked.scale,
+            scale=scale,
             direction_deg={bone: float(angle) for bone, angle in report.direction_deg.items()},
             mean_direction_deg=float(report.mean_direction_deg),
             source_slide_cm_s=float(report.source_slide_cm_s),
@@ -200,6 +212,8 @@ class Retargeting:
             sink_cm=float(report.sink_cm),
             contact_frames=int(report.contact_frames),
             hands_off_cm=report.hands_off_cm,
+            props=placed_props(props, motion, done, scale),
+            beside=beside(done, other, others[asked.against], self._name(asked.against)) if asked.against else None,
             feet=found_feet(done, motion, result),
             exports=_kinds(),
             notes=[*done.notes, *said],
@@ -291,43 +305,6 @@ def _told(character: Character, found: RoleMap) -> r.RetargetRoles:
     )
 
 
-def _as_motion(animation: Motion | Clip, character: Character, rate_hz: float | None) -> Motion:
-    from keypose.evaluate import bake, key_rate, match, resample
-
-    if isinstance(animation, Clip):
-        return bake(animation, character.skeleton, rate_hz or animation.rate_hz or key_rate(animation) or 30.0)
-    motion = match(animation, character.skeleton)
-    return motion if rate_hz is None or rate_hz == motion.rate_hz else resample(motion, rate_hz)
-
-
-def _source_reference(character: Character, motion: Motion, kind: str, time_s: float) -> Pose | None:
-    """The pose that is taken for an upright stand; None leaves it to retargeting."""
-    if kind == "auto":
-        return None
-    if kind == "rest":
-        return character.skeleton.rest
-    frame = int(np.clip(round((time_s - motion.start_s) * motion.rate_hz), 0, motion.frame_count - 1))
-    pose = motion.pose.broadcast()
-    return Pose(pose.translations[frame], pose.rotations[frame], pose.scales[frame])
-
-
-def _target_reference(character: Character, roles: RoleMap | None, kind: str) -> tuple[Pose | None, tuple[str, ...]]:
-    """The same of the target, and what is to be said about it."""
-    from keypose.retarget import bind_stand
-
-    if kind == "rest":
-        return character.skeleton.rest, ()
-    bound = None if roles is None or roles.missing else bind_stand(character, roles.roles)
-    said = "target: the rest pose is no upright stand; the pose in which the skin was bound is taken for one"
-    return bound, () if bound is None else (said,)
-
-
-def _own_motion(scene: Scene, character: Character) -> Motion | None:
-    """A motion of the target's own file: it may show a stand where the rest pose is none."""
-    names = character.skeleton.names
-    return next((a for a in scene.animations if isinstance(a, Motion) and a.joint_names == names), None)
-
-
 def _refused(error: str) -> r.RetargetDone:
     return r.RetargetDone(
         id="",
@@ -347,6 +324,8 @@ def _refused(error: str) -> r.RetargetDone:
         sink_cm=0.0,
         contact_frames=0,
         hands_off_cm=None,
+        props=[],
+        beside=None,
         feet=[],
         exports=[],
         notes=[],

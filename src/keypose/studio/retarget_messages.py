@@ -36,9 +36,12 @@ class RetargetRolesRequest:
 class RetargetRequest:
     """Put a scene's animation on another scene's character.
 
-    ``source_roles``, ``target_roles``: all roles of the character, or None for what the server finds. References: the rest
-    pose or a better stand where that is none, the rest pose whatever it is, or the source at ``reference_s`` of its own
-    time. ``scale`` None goes by leg length, ``rate_hz`` None keeps the animation's.
+    ``source_roles``, ``target_roles``: all roles of the character, or None for what the server finds. References, as of
+    ``keypose retarget`` but with ids of scenes for files and seconds for frames: empty for the rest pose or a better stand where that is none,
+    ``rest`` for the rest pose whatever it is, ``SECONDS`` of the scene's own motion, ``SCENE:SECONDS`` or ``SCENE:rest`` of
+    another of the same rig. ``scale`` None goes by leg length, ``rate_hz`` None keeps the animation's. ``props``: places in metres that
+    hands keep to, three numbers each, or six with the place in the target's world. ``against``: a scene with somebody else's
+    result, which is compared, or empty.
     """
 
     type: Literal["retarget"]
@@ -49,13 +52,14 @@ class RetargetRequest:
     target_character: int
     source_roles: dict[str, str] | None
     target_roles: dict[str, str] | None
-    source_reference: Literal["auto", "rest", "time"]
-    reference_s: float
-    target_reference: Literal["auto", "rest"]
+    source_reference: str
+    target_reference: str
     scale: float | None
     plant: bool
     keep_hands: bool
+    props: list[list[float]]
     rate_hz: float | None
+    against: str
 
 
 RetargetAsked = RetargetSubjectRequest | RetargetRolesRequest | RetargetRequest
@@ -101,12 +105,31 @@ class RetargetFoot:
 
 
 @dataclass(frozen=True, slots=True)
+class RetargetBeside:
+    """A retargeted motion beside somebody else's result; ``error`` says why they cannot be compared.
+
+    ``direction_deg``: arms, legs ... -> mean angle between the bones of both, once the result was turned by ``turned_deg`` and
+    shifted by ``shift_s``; sliding of its feet in cm/s.
+    """
+
+    name: str
+    error: str
+    direction_deg: dict[str, float]
+    mean_direction_deg: float
+    turned_deg: float
+    shift_s: float
+    slide_cm_s: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
 class RetargetDone:
     """The motion on the target and its figures; ``error`` says why there is none.
 
     ``direction_deg``: bone -> mean angle between its directions on both bodies. Sliding of feet in contact in cm/s: of the
     source, of the target before its feet were planted, and after. ``hands_off_cm``: how far hands are from the places
-    beside body and head that they were to keep, None where they were not.
+    beside body, head and props that they were to keep, None where they were not. ``props``: three numbers in the source's world
+    and three in the target's, for each.
     """
 
     id: str
@@ -126,6 +149,8 @@ class RetargetDone:
     sink_cm: float
     contact_frames: int
     hands_off_cm: float | None
+    props: list[list[float]]
+    beside: RetargetBeside | None
     feet: list[RetargetFoot]
     exports: list[str]
     notes: list[str]
