@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 import keypose.io
 from keypose.errors import FormatError, ShapeError, UnknownName
 from keypose.evaluate import world
+from keypose.io import arrays_npz
 from keypose.io.arrays_amass import LAYOUTS
 from keypose.io.gltf.humanoid import ROLES
 from keypose.model import Character, Clip, Event, Motion, Pose, Scene, Skeleton
@@ -268,6 +269,23 @@ def npy(shape: tuple[int, ...], data: bytes) -> bytes:
     text = repr({"descr": "<f8", "fortran_order": False, "shape": shape}).encode()
     text += b" " * (-(len(text) + 11) % 64) + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data
+
+
+def test_a_long_capture_whose_scales_pack_to_nothing_is_no_bomb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrays_npz, "_SMALL_BYTES", 1 << 16)  # as if it were 10 minutes long
+    scene = sample(frames=8000)
+    motion = scene.animations[0]
+    assert isinstance(motion, Motion)
+    motion = replace(motion, pose=motion.pose.broadcast())
+    path = tmp_path / "long.npz"
+    keypose.io.save(replace(scene, animations=(motion,)), path)
+    with zipfile.ZipFile(path) as archive:
+        scales = next(m for m in archive.infolist() if "scales" in m.filename)
+    assert scales.file_size > max(1 << 16, 200 * scales.compress_size)
+    back = keypose.io.load(path).animations[0]
+    assert isinstance(back, Motion) and np.array_equal(back.pose.rotations, motion.pose.rotations)
 
 
 def test_bombs_are_refused_before_they_unpack(tmp_path: Path) -> None:

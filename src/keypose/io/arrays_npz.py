@@ -27,7 +27,9 @@ from keypose.io.text import shown
 from keypose.model import Scene
 
 _LARGEST_BYTES = 512 << 20  # unpacked, of all arrays that are read
-_LARGEST_RATIO = 200  # of a packed array larger than this many bytes:
+_LARGEST_RATIO = (
+    200  # of packed arrays that are together larger than this many bytes (scales alone pack to next to nothing):
+)
 _SMALL_BYTES = 16 << 20
 _MOST_ARRAYS = 256
 _FACTS = "keypose"
@@ -91,12 +93,12 @@ def _arrays(archive: zipfile.ZipFile) -> dict[str, Any]:
     wanted = {
         m.filename.removesuffix(".npy"): m for m in members if m.filename.removesuffix(".npy") in (*_OWN, *_AMASS)
     }
-    total = 0
+    total = sum(m.file_size for m in wanted.values())
+    packed = max(sum(m.compress_size for m in wanted.values()), 1)
+    if total > _LARGEST_BYTES or (total > _SMALL_BYTES and total / packed > _LARGEST_RATIO):
+        largest = max(wanted, key=lambda n: wanted[n].file_size)
+        raise FormatError(f"arrays unpack from {packed} to {total} bytes, which is too much", where=largest)
     for name, member in wanted.items():
-        total += member.file_size
-        packed = max(member.compress_size, 1)
-        if total > _LARGEST_BYTES or (member.file_size > _SMALL_BYTES and member.file_size / packed > _LARGEST_RATIO):
-            raise FormatError(f"it unpacks from {packed} to {member.file_size} bytes, which is too much", where=name)
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FormatError(f"packed by method {member.compress_type}; NumPy stores or deflates", where=name)
         if member.flag_bits & 1:
