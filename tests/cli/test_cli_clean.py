@@ -48,7 +48,7 @@ def test_a_face_goes_on_moving_where_the_file_holds_keys(tmp_path: Path) -> None
     assert keypose("convert", "sample:walk", take, "-q").returncode == 0
     moved = weights_of(take)
     assert moved
-    for verb, *asked in (("clean",), ("edit", "--bend", 20)):
+    for verb, *asked in (("clean",), ("edit", "--bend", 20), ("retarget", "--to", "sample:human")):
         out = tmp_path / f"{verb}.glb"
         done = keypose(verb, take, out, *asked, "-q")
         assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from keypose.analysis.ground import Ground, GroundKind, fit_ground, point_speeds, still_spells, true_runs
+from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, as_float, checked
 from keypose.errors import ShapeError
 from keypose.model import Event
@@ -17,10 +18,22 @@ from keypose.model import Event
 STILL_M = 1e-6
 """A step of a frame that is rounding and no motion, for a leg of 0.85 m."""
 
-_LEG_M = 0.85  # the length of leg that limits in metres are meant for
-_SIDES = ("left", "right")
+LEG_M = 0.85
+"""The length of leg that limits in metres are meant for."""
+_LEG = ("upper_leg", "lower_leg", "foot")
 _FEWEST = 3  # frames in contact that are enough to say how a foot stands
 _RELEASE = 1.5  # a contact ends where a limit is passed so many times over
+
+
+def has_legs(roles: Mapping[str, int]) -> bool:
+    """Whether roles name both legs, from hip to foot."""
+    return all(f"{side}_{part}" in roles for side in SIDES for part in _LEG)
+
+
+def leg_length(roles: Mapping[str, int], places: Floats) -> float:
+    """The length of the left leg in the first frame of places (T, J, 3), metres."""
+    hip, knee, foot = (places[0, roles[f"left_{part}"]] for part in _LEG)
+    return float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
 
 
 def find_contacts(
@@ -177,11 +190,11 @@ def find_footing(
     A contact is where a point is low and slow (with hysteresis, as in `find_contacts`), from where its speed has come down to
     where it begins to rise for good: a foot that was planted before is found in just the frames in which it stands still.
     """
-    size = leg_m / _LEG_M
+    size = leg_m / LEG_M
     shortest = max(2, round(shortest_s * rate_hz))
     tracks: dict[str, Floats] = {}
     ankles: dict[str, Floats] = {}
-    for side in _SIDES:
+    for side in SIDES:
         if f"{side}_foot" in roles:
             ankles[side] = places[:, roles[f"{side}_foot"]].astype(np.float64)
             ball = roles.get(f"{side}_toes", roles[f"{side}_foot"])
@@ -247,7 +260,7 @@ def foot_contacts(
 def foot_points(roles: Mapping[str, int], places: Floats, touching: Mapping[str, np.ndarray]) -> dict[str, Floats]:
     """The points (T, 3) of feet whose contacts are given (``left_heel`` ...): ball, and heel behind and under the ankle."""
     found: dict[str, Floats] = {}
-    for side in _SIDES:
+    for side in SIDES:
         if f"{side}_foot" not in roles:
             continue
         ankle = places[:, roles[f"{side}_foot"]]
@@ -374,8 +387,7 @@ def _without_short(track: np.ndarray, shortest: int, cyclic: bool) -> np.ndarray
     result = track.copy()
     shift = int(np.argmin(track)) if cyclic else 0
     rolled = np.roll(result, -shift)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rolled, [False]]).astype(np.int8)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in true_runs(rolled):
         open_end = not cyclic and (start == 0 or end == len(rolled))
         if end - start < shortest and not open_end:
             rolled[start:end] = False

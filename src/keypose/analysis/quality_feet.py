@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from keypose.analysis.contacts import Footing, find_footing, foot_points
+from keypose.analysis.contacts import Footing, find_footing, foot_points, has_legs, leg_length
 from keypose.analysis.ground import Ground
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 
 _GRAVITY = 9.81
-_LEG = ("upper_leg", "lower_leg", "foot")
 
 # Parts of the body that may lie or sit on the ground, and how thick they are as shares of the leg's length.
 _OTHER_SUPPORTS = {
@@ -48,7 +47,7 @@ def follow_feet(
 
     Where the ground is known, feet are taken to stand on it with their lowest points; contacts that are given are not looked for.
     """
-    if any(f"{s}_{p}" not in roles for s in SIDES for p in _LEG):
+    if not has_legs(roles):
         return None
     leg = leg_length(roles, places)
     footing = find_footing(roles, places, rate_hz, leg, ground="auto" if ground is None else ground)
@@ -70,12 +69,6 @@ def carried_speeds(
     found = [_steps(side, points, touching, len(places), rate_hz) for side in SIDES]
     every = np.concatenate(found) if found else np.zeros(0)
     return every[np.isfinite(every)]
-
-
-def leg_length(roles: Mapping[str, int], places: Floats) -> float:
-    """The length of the left leg in the first frame, metres."""
-    hip, knee, foot = (places[0, roles[f"left_{part}"]] for part in _LEG)
-    return float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee))
 
 
 def _steps(

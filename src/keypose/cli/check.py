@@ -145,7 +145,7 @@ def _compared(
 ) -> list[str]:
     """A motion beside another take: joint by joint on one skeleton, else by the directions of bones."""
     from keypose.analysis import compare_takes, find_roles, foot_contacts
-    from keypose.analysis.quality_feet import leg_length
+    from keypose.analysis.contacts import has_legs, leg_length
     from keypose.evaluate import match_report, world_rotations_positions
     from keypose.retarget import compare_with_reference
 
@@ -158,8 +158,7 @@ def _compared(
         return difference.lines()
     their_roles = dict(find_roles(theirs, known=other.character.roles or None).roles)
     places = np.asarray(world_rotations_positions(body, motion.pose.broadcast())[1], np.float64)
-    legs = all(f"{s}_{p}" in roles for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot"))
-    touching = foot_contacts(roles, places, motion.rate_hz, leg_length(roles, places)) if legs else {}
+    touching = foot_contacts(roles, places, motion.rate_hz, leg_length(roles, places)) if has_legs(roles) else {}
     report = compare_with_reference(motion, body, roles, take, theirs, their_roles, touching)
     row["direction"] = asdict(report)
     return report.lines()

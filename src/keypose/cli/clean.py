@@ -185,8 +185,9 @@ def _sole_m(character: Character, roles: Mapping[str, int]) -> float:
 
 def _count(touching: Mapping[str, np.ndarray]) -> int:
     """How often heels and balls come down."""
-    starts = (np.diff(np.concatenate([[False], flags]).astype(np.int8)) == 1 for flags in touching.values())
-    return sum(int(start.sum()) for start in starts)
+    from keypose.analysis.ground import true_runs
+
+    return sum(len(true_runs(flags)) for flags in touching.values())
 
 
 def _facts(done: PlantResult, before: Quality, after: Quality) -> dict[str, Any]:

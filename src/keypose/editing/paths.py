@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,11 +11,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from keypose.analysis.contacts import LEG_M, foot_contacts, foot_points, has_legs, leg_length
+from keypose.analysis.ground import true_runs
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, checked
 from keypose.editing.displacement import fit_displacement
 from keypose.editing.planting import PlantOptions, knee_limit, plant_feet
-from keypose.editing.planting_legs import LEG_M
 from keypose.editing.reach import check_finite, found_roles
 from keypose.errors import ShapeError
 from keypose.evaluate import sample_morphs, sample_motion, world_rotations_positions
@@ -276,7 +278,7 @@ def put_on_path(
     turn = _turn_between(own, path)
     carried = _carried(motion, skeleton, own, path, turn)
     rigid = np.ptp(turn) < 1e-9 and np.allclose(path.points, _rigidly(own, path, turn), atol=1e-9)
-    if not plant or not _has_legs(known) or rigid:
+    if not plant or not has_legs(known) or rigid:
         return PathResult(carried, {}, 0.0, 1.0, path)
     touching = _contacts(motion, skeleton, known)
     unturned = _feet_unturned(carried, skeleton, known, touching, turn)
@@ -316,7 +318,7 @@ def retime(
     )
     warped = replace(motion, pose=sample_motion(motion, times), morph_weights=weights, events=events)
     known = found_roles(skeleton) if roles is None else roles
-    if not plant or not _has_legs(known):
+    if not plant or not has_legs(known):
         return warped
     nearest = np.rint(old * motion.rate_hz).astype(np.intp)
     touching = {name: flags[nearest] for name, flags in _contacts(motion, skeleton, known).items()}
@@ -400,8 +402,6 @@ def _yaw(angle: Floats) -> Floats:
 
 
 def _contacts(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> dict[str, np.ndarray]:
-    from keypose.analysis.contacts import foot_contacts, foot_points
-
     places = np.asarray(world_rotations_positions(skeleton, motion.pose.broadcast())[1], np.float64)
     size = _size(places, roles)
     found = foot_contacts(roles, places, motion.rate_hz, size * LEG_M)
@@ -409,23 +409,17 @@ def _contacts(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> d
     return {name: _joined(flags, points[name], motion.rate_hz, size) for name, flags in found.items()}
 
 
-def _has_legs(roles: Mapping[str, int]) -> bool:
-    return all(f"{side}_{part}" in roles for side in SIDES for part in ("upper_leg", "lower_leg", "foot"))
-
-
 def _size(places: Floats, roles: Mapping[str, int]) -> float:
     """How much longer a body's left leg is than LEG_M; 1 without legs."""
-    if not _has_legs(roles):
+    if not has_legs(roles):
         return 1.0
-    hip, knee, foot = (places[0, roles[f"left_{part}"]] for part in ("upper_leg", "lower_leg", "foot"))
-    return float(np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee)) / LEG_M
+    return leg_length(roles, places) / LEG_M
 
 
 def _joined(flags: np.ndarray, track: Floats, rate_hz: float, size: float) -> np.ndarray:
     """Contacts (T,) without short gaps over which the point went nowhere: on another path each part would get a place of its own."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     joined = flags.copy()
-    for stop, start in zip(edges[1:-1:2], edges[2::2], strict=True):
+    for (_, stop), (start, _) in itertools.pairwise(true_runs(flags)):
         if start - stop <= 0.1 * rate_hz and np.linalg.norm(track[start] - track[stop - 1]) < _SAME_PLACE_M * size:
             joined[stop:start] = True
     return joined
@@ -465,9 +459,8 @@ def _feet_unturned(
         stands = touching.get(f"{side}_heel", none) | touching.get(f"{side}_ball", none)
         if not stands.any():
             continue
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8)))
         back = np.zeros(motion.frame_count)
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        for start, stop in true_runs(stands):
             back[start:stop] = turn[start:stop].mean() - turn[start:stop]
         at = np.flatnonzero(stands)
         if len(at) > 1:

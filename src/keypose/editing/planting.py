@@ -13,13 +13,13 @@ from typing import Literal
 
 import numpy as np
 
-from keypose.analysis.contacts import Footing, find_footing
+from keypose.analysis.contacts import LEG_M, Footing, find_footing
 from keypose.analysis.ground import GROUND_KINDS, Ground, GroundKind
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
 from keypose.editing.planting_hips import hips_path
-from keypose.editing.planting_legs import LEG_M, bend_leg, find_leg, knee_angles
+from keypose.editing.planting_legs import bend_leg, find_leg, knee_angles
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions

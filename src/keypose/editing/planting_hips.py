@@ -9,8 +9,9 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 from scipy.ndimage import gaussian_filter1d
 
+from keypose.analysis.contacts import LEG_M
 from keypose.arrays import Floats
-from keypose.editing.planting_legs import LEG_M, Leg, knee_angles, reached_angles
+from keypose.editing.planting_legs import Leg, knee_angles, reached_angles
 from keypose.editing.planting_paths import FootPath, norms, smooth_over
 
 # What counts as much as a radian that a knee changes: the hips' path by the metre and its acceleration by the metre a second

@@ -13,9 +13,6 @@ from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Skeleton
 
-LEG_M = 0.85
-"""The length of leg that lengths in planting are meant for; they grow with the leg."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leg:

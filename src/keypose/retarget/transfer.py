@@ -11,7 +11,7 @@ from keypose.analysis.roles import RoleMap, find_roles
 from keypose.arrays import Floats, finite
 from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.errors import KeyposeError, ShapeError
-from keypose.evaluate import bake, key_rate, match, resample, world_rotations_positions
+from keypose.evaluate import to_motion, world_rotations_positions
 from keypose.model import Clip, Motion, Pose, Skeleton
 from keypose.retarget.attach import attach_limbs
 from keypose.retarget.body import BodyFrames, body_frames
@@ -80,7 +80,7 @@ def retarget(
 
     Source: M. Gleicher, "Retargetting motion to new characters" (SIGGRAPH 1998), for what is to be kept: contacts.
     """
-    motion = _as_motion(animation, source, rate_hz)
+    motion = to_motion(animation, source, rate_hz)
     if motion.frame_count == 0:
         raise ShapeError(f"motion '{motion.name}' has no frames")
     notes: list[str] = []
@@ -181,14 +181,6 @@ def _silent(done: int, total: int) -> None:
 def _world(skeleton: Skeleton, pose: Pose) -> tuple[Floats, Floats]:
     turned, places = world_rotations_positions(skeleton, pose.broadcast())
     return np.asarray(turned, np.float64), finite(np.asarray(places, np.float64), "places of the motion's joints")
-
-
-def _as_motion(animation: Motion | Clip, skeleton: Skeleton, rate_hz: float | None) -> Motion:
-    if isinstance(animation, Clip):
-        rate = rate_hz or animation.rate_hz or key_rate(animation) or 30.0
-        return bake(animation, skeleton, rate)
-    motion = match(animation, skeleton)
-    return motion if rate_hz is None or rate_hz == motion.rate_hz else resample(motion, rate_hz)
 
 
 def _roles_of(skeleton: Skeleton, roles: Roles | None, pose: Pose | None) -> dict[str, int]:

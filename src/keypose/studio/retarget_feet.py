@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from keypose.analysis.contacts import foot_points
+from keypose.analysis.ground import true_runs
 from keypose.analysis.roles import SIDES
 from keypose.evaluate import world_rotations_positions
 from keypose.model import Motion
@@ -29,8 +30,7 @@ def found_feet(done: RetargetResult, source: Motion, target: Motion) -> list[Ret
         if not flags:
             continue
         down = np.logical_or.reduce(list(flags.values()))
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8)))
-        steps = [(int(first), int(after) - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
+        steps = [(first, after - 1) for first, after in true_runs(down)]
         joints: list[list[str]] = []
         slides: list[list[float]] = []
         for (body, motion), at in zip(bodies, places, strict=True):
