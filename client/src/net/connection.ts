@@ -79,7 +79,7 @@ export class Connection {
   }
 
   /** A container of ours, answered by another. */
-  async exchange(path: string, body: Blob): Promise<ArrayBuffer> {
+  async exchange(path: string, body: Uint8Array<ArrayBuffer>): Promise<ArrayBuffer> {
     const response = await fetch(path, { method: "POST", headers: this.headers, body });
     if (!response.ok) throw new Error((await response.text()).trim() || `the server answered ${response.status}`);
     return response.arrayBuffer();

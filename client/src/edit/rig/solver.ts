@@ -72,7 +72,7 @@ export class Question {
     return this.data === other.data && same(this.controls, other.controls) && same(this.values, other.values) && same(this.joints, other.joints);
   }
 
-  pack(wish: Wish): Blob {
+  pack(wish: Wish): Uint8Array<ArrayBuffer> {
     const { data } = this, packer = new Packer();
     const header: RigPoseRequest = {
       type: "rig_pose",
@@ -82,7 +82,7 @@ export class Question {
       values: packer.add(this.values, [1, this.values.length]),
       ...wish,
     };
-    return packer.pack(header);
+    return packer.bytes(header);
   }
 }
 
