@@ -440,13 +440,13 @@ def test_a_copied_arm_is_pasted_on_the_other_side(edit: Callable[..., View]) -> 
 
 def test_poses_are_kept_with_pictures_and_put_on_by_a_share(edit: Callable[..., View]) -> None:
     view = edit("sample:human")
-    view.studio.draw()  # the small pictures
     view.page.get_by_test_id("tab-poses").click()
     view.select("RightArm")
     rest = view.local("RightArm")["rotation"]
     view.keys("r", "z", "-", "8", "0", "Enter")
     raised = view.local("RightArm")["rotation"]
     view.select()
+    view.studio.draw()  # the small pictures
     view.page.get_by_test_id("pose-name").fill("Raised")
     view.page.get_by_test_id("pose-save").click()
     view.settle()
@@ -457,6 +457,7 @@ def test_poses_are_kept_with_pictures_and_put_on_by_a_share(edit: Callable[..., 
     view.until(lambda: view.page.locator("[data-testid=pose] img").count() == 2, "both pictures are drawn")
     pictures = [view.page.locator("[data-testid=pose] img").nth(n).get_attribute("src") for n in range(2)]
     assert pictures[0] != pictures[1] and all(p.startswith("data:image/") and len(p) > 2000 for p in pictures)
+    view.studio.draw(False)
     view.auto_key()
     view.page.locator("[data-pose=Raised] [data-testid=pose-apply]").click()
     view.settle()
