@@ -11,7 +11,7 @@ from keypose.analysis.masses import human_masses
 from keypose.errors import ShapeError
 from keypose.ik import CenterOfMassTask, PositionTask, solve_pose
 from keypose.math import quat
-from keypose.model import Pose, Skeleton
+from keypose.model import Motion, Pose, Skeleton
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +63,22 @@ def test_no_roles_no_mass(body: Skeleton) -> None:
         human_masses(body, {"left_eye": 7})
     with pytest.raises(ShapeError, match="role 'head'"):
         human_masses(body, {"head": 99})
+
+
+def test_a_role_that_no_joint_plays_is_refused_everywhere() -> None:
+    from keypose.analysis import measure_quality
+    from keypose.retarget import retarget
+    from keypose.rig import auto_rig
+
+    walk = samples.load("walk")
+    skeleton, motion = walk.character.skeleton, walk.animations[0]
+    assert isinstance(motion, Motion)
+    roles = {**find_roles(skeleton).roles, "head": 999}
+    for use in (
+        lambda: human_masses(skeleton, roles),
+        lambda: measure_quality(motion, skeleton, roles),
+        lambda: retarget(motion, skeleton, skeleton, target_roles=roles),
+        lambda: auto_rig(skeleton, roles),
+    ):
+        with pytest.raises(ShapeError, match="role 'head': expected a joint from 0 to 60, got 999"):
+            use()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.roles import FINGERS, SIDES, RoleMap
+from keypose.analysis.roles import FINGERS, SIDES, RoleMap, joints_by_role
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -68,10 +68,7 @@ def human_limits(
         and D. White, "Measurement of Joint Motion" (5th ed. 2016), appendix A; trunk and neck: A. White and M. Panjabi,
         "Clinical Biomechanics of the Spine" (2nd ed. 1990), tables 2-1 to 2-4.
     """
-    joints = dict(roles.roles if isinstance(roles, RoleMap) else roles)
-    for role, joint in joints.items():
-        if not 0 <= joint < skeleton.joint_count:
-            raise ShapeError(f"role '{role}': expected a joint from 0 to {skeleton.joint_count - 1}, got {joint}")
+    joints = joints_by_role(roles, skeleton)
     body = _Body(skeleton, skeleton.rest if pose is None else pose, joints)
     found: dict[str, JointLimit] = {}
     for role, limit in body.limits().items():

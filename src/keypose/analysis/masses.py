@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.roles import SIDES, RoleMap
+from keypose.analysis.roles import SIDES, RoleMap, joints_by_role
 from keypose.arrays import Floats
 from keypose.errors import ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -44,10 +44,7 @@ def human_masses(skeleton: Skeleton, roles: RoleMap | Mapping[str, int]) -> Body
 
     Source: P. de Leva, "Adjustments to Zatsiorsky-Seluyanov's segment inertia parameters" (1996), table 4.
     """
-    joints = dict(roles.roles if isinstance(roles, RoleMap) else roles)
-    for role, joint in joints.items():
-        if not 0 <= joint < skeleton.joint_count:
-            raise ShapeError(f"role '{role}': expected a joint from 0 to {skeleton.joint_count - 1}, got {joint}")
+    joints = joints_by_role(roles, skeleton)
     turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, skeleton.rest))
     masses, centers = np.zeros(skeleton.joint_count), np.zeros((skeleton.joint_count, 3))
 

@@ -14,7 +14,7 @@ from keypose.analysis.ground import Ground
 from keypose.analysis.limits import human_limits
 from keypose.analysis.quality_feet import FeetTracks, carried_speeds, follow_feet
 from keypose.analysis.quality_takes import TakeDifference, compare_takes
-from keypose.analysis.roles import SIDES, RoleMap, find_roles
+from keypose.analysis.roles import SIDES, RoleMap, find_roles, joints_by_role
 from keypose.arrays import Floats, finite
 from keypose.errors import ShapeError
 from keypose.evaluate import match, world_rotations_positions
@@ -213,7 +213,7 @@ def _roles_of(
     """
     found = find_roles(skeleton) if roles is None else roles
     four = isinstance(found, RoleMap) and found.on_all_fours
-    known = dict(found.roles if isinstance(found, RoleMap) else found)
+    known = joints_by_role(found, skeleton)
     legs = {
         role: known.get(role.replace("_foot", "_toes"), joint) if role.endswith("_foot") else joint
         for role, joint in known.items()

@@ -138,6 +138,19 @@ def roles_from_json(text: str, skeleton: Skeleton) -> RoleMap:
     return RoleMap(found, dict.fromkeys(found, 1.0))
 
 
+def joints_by_role(roles: RoleMap | Mapping[str, int], skeleton: Skeleton) -> dict[str, int]:
+    """A map of roles of either kind as plain numbers of a skeleton's joints.
+
+    Raises:
+        ShapeError: where a role is played by no joint of the skeleton.
+    """
+    found = dict(roles.roles if isinstance(roles, RoleMap) else roles)
+    for role, joint in found.items():
+        if not 0 <= joint < skeleton.joint_count:
+            raise ShapeError(f"role '{role}': expected a joint from 0 to {skeleton.joint_count - 1}, got {joint}")
+    return found
+
+
 def find_roles(skeleton: Skeleton, pose: Pose | None = None, known: Mapping[str, int] | None = None) -> RoleMap:
     """The roles of a skeleton's joints; what cannot be found is left out.
 

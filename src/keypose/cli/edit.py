@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from keypose.editing.reach import Reach
 
 SCHEMA = "keypose.edit/1"
-FEET = ("left_foot", "right_foot")
 _KNEES = 1.5  # times as much as before is more than planting allows knees where legs are long enough
 _REACH = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)(?:-(?P<last>\d+))?=(?P<sign>\+?)(?P<place>[^+].*)$")
 _TURN = re.compile(r"^(?P<joint>.+)@(?P<first>\d+)=(?P<place>.+)$")
@@ -177,7 +176,7 @@ def _edited(
     if reaches and edits.spacetime:
         result = _spacetime(result, skeleton, roles, reaches, edits, figures, progress)
     elif reaches:
-        from keypose.editing.reach import reach
+        from keypose.editing.reach import KEPT, reach
 
         done = reach(
             result,
@@ -186,7 +185,7 @@ def _edited(
             roles=roles,
             ease_s=edits.ease_s,
             whole_body=edits.whole_body,
-            keep=edits.keep or FEET,
+            keep=edits.keep or KEPT,
             progress=progress,
         )
         result = done.motion
@@ -277,7 +276,7 @@ def _spacetime(
 ) -> Motion:
     """All reaches at once, by the whole body, with what is to be kept where it is."""
     from keypose.editing.constraints import Constraint, Place, Turn, kept_in_place
-    from keypose.editing.reach import joint_of
+    from keypose.editing.reach import KEPT, joint_of
     from keypose.editing.spacetime import solve_spacetime
     from keypose.evaluate import world_rotations_positions
 
@@ -296,7 +295,7 @@ def _spacetime(
             wanted.append(Turn(r.joint, r.frames, r.rotation))
     span = np.arange(window[0], window[1] + 1)
     moved = {joint_of(skeleton, r.joint, roles) for r in reaches}
-    keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in FEET if f in roles]]
+    keep = [joint_of(skeleton, k, roles) for k in edits.keep or [f for f in KEPT if f in roles]]
     wanted += kept_in_place(motion, skeleton, [skeleton.names[j] for j in keep if j not in moved], span)
     done = solve_spacetime(motion, skeleton, window, wanted, roles=roles, progress=progress)
     misses = zip(wanted, done.error, strict=True)

@@ -124,11 +124,16 @@ def _report(rig: Rig, fit: RigFit | None, notes: tuple[str, ...], output: Path) 
     if fit is not None:
         frames = len(fit.control_pose.rotations)
         lines.append(
-            f"{counted(frames, 'frame')} on the controls: joints within {1e3 * fit.error_m:.3g} mm and "
-            f"{fit.error_deg:.2g} degrees; all FK {1e3 * fit.fk_error_m:.3g} mm, all IK {1e3 * fit.ik_error_m:.3g} mm"
+            f"{counted(frames, 'frame')} on the controls: joints within {_millimetres(fit.error_m)} and "
+            f"{max(fit.error_deg, 1e-4):.2g} degrees; all FK {_millimetres(fit.fk_error_m)}, all IK {_millimetres(fit.ik_error_m)}"
         )
     facts = f"{counted(rig.controls.joint_count, 'control')}, {counted(len(rig.attributes), 'attribute')}"
     print_written(output, facts, notes, lines)
+
+
+def _millimetres(metres: float) -> str:
+    """Figures below a micrometre are rounding."""
+    return f"{max(1e3 * metres, 1e-3):.3g} mm"
 
 
 def _print_controls(rig: Rig) -> None:

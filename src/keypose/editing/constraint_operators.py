@@ -12,15 +12,13 @@ from keypose.editing.falloff import FALL_OFFS, edit_pose, with_joints
 from keypose.editing.framed import clip_rate, edit_frames, nearest_frame, selected_frames
 from keypose.editing.operator_types import Operated, Operator, Parameter, number
 from keypose.editing.paths import bend_path, close_path, extract_path, put_on_path, stretch_path
-from keypose.editing.reach import Reach, found_roles, joint_of, reach
+from keypose.editing.reach import KEPT, REACHED_M, Reach, found_roles, joint_of, reach
 from keypose.editing.selection import Selection, chosen_channels, chosen_joints
 from keypose.editing.spacetime import solve_spacetime
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world_rotations_positions
 from keypose.math import quat
 from keypose.model import Clip, Motion, Skeleton
-
-FEET = ("left_foot", "right_foot")
 
 
 def _frames(clip: Clip, selection: Selection, p: Mapping[str, Any]) -> tuple[int, int]:
@@ -64,7 +62,7 @@ def _run_reach(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[
 
 
 def _missed(error: float) -> str:
-    return "is there" if error <= 1e-4 else f"stays {1000 * error:.1f} mm away"
+    return "is there" if error <= REACHED_M else f"stays {1000 * error:.1f} mm away"
 
 
 def _run_bend_path(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[str, Any]) -> Operated:
@@ -103,7 +101,7 @@ def _run_pose(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapping[s
         pose = motion.pose[frame]
         own = np.asarray(pose.rotations[skeleton.index(joint)], np.float64)
         turned = with_joints(pose, skeleton, {joint: quat.multiply(own, quat.from_rotation_vector(turn))})
-        keep = [f for f in FEET if f in roles] if p["keep_feet"] else []
+        keep = [f for f in KEPT if f in roles] if p["keep_feet"] else []
         done = edit_pose(
             motion,
             skeleton,
@@ -140,7 +138,7 @@ def _run_spacetime(clip: Clip, skeleton: Skeleton, selection: Selection, p: Mapp
         number = skeleton.index(joint)
         wanted: list[Constraint] = [Place(joint, at, places[at - window[0], number] + (p["x_m"], p["y_m"], p["z_m"]))]
         if p["keep_feet"]:
-            feet = [roles[f] for f in FEET if f in roles and roles[f] != number]
+            feet = [roles[f] for f in KEPT if f in roles and roles[f] != number]
             wanted += kept_in_place(motion, skeleton, [skeleton.names[f] for f in feet], span)
         done = solve_spacetime(motion, skeleton, window, wanted, roles=roles)
         rest = "" if done.converged else "; not at rest yet"

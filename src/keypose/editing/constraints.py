@@ -141,6 +141,7 @@ def right_jacobian(v: Floats) -> Floats:
 
 
 def inverse_right_jacobian(v: Floats) -> Floats:
+    """The inverses (*B, 3, 3) of `right_jacobian`, for turns below a whole one; the same source, 10.86."""
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     cross = cross_matrix(v)
     small = angle < 1e-3

@@ -108,10 +108,8 @@ def bend_limb(
     old_normal = np.cross(end - start, pole)
     # The bend turns with the limb.
     swung = quat.rotate(turns_between(end - start, goal - start), pole)
-    near = (
-        start + (goal - start) * _softened(np.linalg.norm(goal - start, axis=-1), upper_m + lower_m, softness)[:, None]
-    )
-    solved = solve_limb(start, near, swung, upper_m=upper_m, lower_m=lower_m)
+    soft_m = np.asarray(softness, np.float64) * (upper_m + lower_m)
+    solved = solve_limb(start, goal, swung, upper_m=upper_m, lower_m=lower_m, softness_m=soft_m)
     turn_upper = rotation_between_frames(middle - start, old_normal, solved.middle - start, solved.normal)
     turn_lower = rotation_between_frames(end - middle, old_normal, solved.end - solved.middle, solved.normal)
     result = np.empty((len(goal), 3, 4))
@@ -176,16 +174,6 @@ def path_up(skeleton: Skeleton, joint: int) -> list[int]:
     while (joint := int(skeleton.parents[joint])) >= 0:
         path.append(joint)
     return path
-
-
-def _softened(distance: Floats, reach_m: float, softness: float | Floats) -> Floats:
-    """The share of a distance that a limb goes; Source: A. Nicol, "Soft IK" (2007), as in `solve_limb`, for each pose its own."""
-    soft = np.broadcast_to(np.asarray(softness, np.float64) * reach_m, distance.shape)
-    hard = reach_m - soft
-    over = np.maximum(distance - hard, 0.0)
-    safe = np.where(soft > 0, soft, 1.0)
-    used = np.where((soft > 0) & (over > 0), hard + soft * (1.0 - np.exp(-over / safe)), distance)
-    return used / np.maximum(distance, 1e-12)
 
 
 def _across(start: Floats, middle: Floats, end: Floats) -> Floats:

@@ -27,7 +27,6 @@ from keypose.model import (
     Skeleton,
 )
 
-PLAIN_MODES = (Interpolation.STEP, Interpolation.LINEAR, Interpolation.HERMITE)
 TOLERANCE = 1e-5
 """Metres, radians or ratios that a curve may be off where it cannot be exact."""
 

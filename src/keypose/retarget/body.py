@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from keypose.analysis.roles import FINGERS, SIDES, RoleMap, find_roles, stands_on_all_fours
+from keypose.analysis.roles import FINGERS, SIDES, RoleMap, find_roles, joints_by_role, stands_on_all_fours
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError
 from keypose.evaluate import world_rotations_positions
@@ -76,7 +76,7 @@ def body_frames(
     the pose of the arms.
     """
     found = find_roles(skeleton, reference).roles if roles is None else roles
-    known = dict(found.roles if isinstance(found, RoleMap) else found)
+    known = joints_by_role(found, skeleton)
     shown = known if only is None else {role: j for role, j in known.items() if role in only}
     missing = [r for r in ("hips", "left_upper_leg", "right_upper_leg", "left_foot", "right_foot") if r not in known]
     if missing:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from keypose.analysis.roles import RoleMap, find_roles
+from keypose.analysis.roles import RoleMap, find_roles, joints_by_role
 from keypose.arrays import Floats, finite
 from keypose.editing.planting import PlantOptions, plant_feet
 from keypose.errors import KeyposeError, ShapeError
@@ -192,4 +192,4 @@ def _roles_of(skeleton: Skeleton, roles: Roles | None, pose: Pose | None) -> dic
                 "name its joints in a map of roles"
             )
         return dict(found.roles)
-    return dict(roles.roles if isinstance(roles, RoleMap) else roles)
+    return joints_by_role(roles, skeleton)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from keypose.analysis import RoleMap, find_roles
-from keypose.analysis.roles import SIDES
+from keypose.analysis.roles import SIDES, joints_by_role
 from keypose.arrays import Floats
 from keypose.errors import KeyposeError
 from keypose.model import (
@@ -99,7 +99,7 @@ def _roles(
             missing = ", ".join(found.missing)
             raise KeyposeError(f"no humanoid or animal: nothing plays {missing}; name the joints in a map of roles")
         return found.roles
-    return roles.roles if isinstance(roles, RoleMap) else roles
+    return joints_by_role(roles, skeleton)
 
 
 # ---- trunk -------------------------------------------------------------------------------------------------------------
