@@ -367,6 +367,45 @@ def test_the_operator_plants_a_clip_and_leaves_other_channels() -> None:
     assert "no legs" in run_operator("plant_feet", clip, samples.load("ball").character.skeleton).report
 
 
+def test_legs_that_hang_on_nothing_together_are_planted_by_themselves() -> None:
+    """Every leg a tree of its own: no joint moves both hips."""
+    skeleton, motion = body(), slipping("walk")
+    roles = roles_of(skeleton)
+    uppers = [roles[f"{side}_upper_leg"] for side in ("left", "right")]
+    turned, places = world(skeleton, motion)
+    pose = motion.pose.broadcast()
+    translations, rotations = np.array(pose.translations), np.array(pose.rotations)
+    translations[:, uppers], rotations[:, uppers] = places[:, uppers], turned[:, uppers]
+    parents = np.array(skeleton.parents)
+    parents[uppers] = -1
+    apart = replace(skeleton, parents=parents)
+    loose = replace(motion, pose=Pose(translations, rotations, pose.scales))
+    np.testing.assert_allclose(world(apart, loose)[1], places, atol=1e-9)
+    done = plant_feet(loose, apart, roles)
+    still = plant_feet(motion, skeleton, roles, options=PlantOptions(hips="still"))
+    assert not done.hips_m.any() and done.moved_m.max() > 1e-3
+    np.testing.assert_allclose(world(apart, done.motion)[1], world(skeleton, still.motion)[1], atol=1e-6)
+
+
+def test_only_legs_and_what_carries_them_are_touched() -> None:
+    skeleton, motion = body(), slipping("walk")
+    roles = roles_of(skeleton)
+    done = plant_feet(motion, skeleton, roles)
+    legs = [roles[f"{s}_{p}"] for s in ("left", "right") for p in ("upper_leg", "lower_leg", "foot")]
+    others = [j for j in range(skeleton.joint_count) if j not in legs and j != roles["hips"]]
+    for before, after in zip(
+        (motion.pose.translations, motion.pose.rotations),
+        (done.motion.pose.translations, done.motion.pose.rotations),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(after[:, others], before[:, others])
+    assert done.moved_m.max() > 1e-3
+    broken = np.array(motion.pose.rotations)
+    broken[7, roles["head"], 2] = np.nan
+    with pytest.raises(ShapeError, match=r"rotations of the motion: expected finite numbers, got nan at \[7"):
+        plant_feet(replace(motion, pose=replace(motion.pose, rotations=broken)), skeleton, roles)
+
+
 def test_wrong_input_is_refused() -> None:
     skeleton, motion = body(), slipping("walk")
     roles = roles_of(skeleton)

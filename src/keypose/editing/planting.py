@@ -20,6 +20,7 @@ from keypose.arrays import Floats, finite
 from keypose.editing.planting_cycles import Cycle, cut, find_cycle, unroll
 from keypose.editing.planting_hips import hips_path
 from keypose.editing.planting_legs import bend_leg, find_leg, knee_angles
+from keypose.editing.planting_parts import legs_only
 from keypose.editing.planting_paths import FootPath, foot_path
 from keypose.errors import KeyposeError, ShapeError
 from keypose.evaluate import world_rotations_positions
@@ -125,28 +126,46 @@ def plant_feet(
                 raise ShapeError(f"touching['{point}']: expected {motion.frame_count} flags, got {np.shape(flags)}")
     # contacts that are given are planted once, others twice and looked at a third time, as a rule
     steps = _Steps(progress, 5 if touching is not None else 14)
-    before = _Body(motion, skeleton, roles, steps)
+    cycle = _cycle(motion, skeleton, roles, touching) if options.loop else None
+    part = legs_only(motion, skeleton, roles, () if cycle is None else (cycle.joint,))
+    if heights is not None:
+        heights = np.asarray(heights)[part.joints]
+    before = _Body(part.motion, part.skeleton, part.roles, steps)
     if options.knee_rad_s2 is None:
         # that of this motion, in all rounds
         options = replace(options, knee_rad_s2=_limit(before.knee_peak))
-    cycle = find_cycle(motion, skeleton, before.turned, before.places, before.size) if options.loop else None
-    if options.loop and (cycle is None or touching is not None):
-        why = "contacts of loops cannot be given" if cycle is not None else "its last frame is not its first"
-        raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: {why}")
     if cycle is None:
         result = _planted_once(before, touching, heights, options)
     else:
-        result = _planted_round(before, cycle, heights, options)
-    peak = _Body(result.motion, skeleton, roles, steps).knee_peak
+        joint = int(np.searchsorted(part.joints, cycle.joint))
+        result = _planted_round(before, replace(cycle, joint=joint), heights, options)
+    peak = _Body(result.motion, part.skeleton, part.roles, steps).knee_peak
     steps.end()
-    return replace(result, knee_ratio=peak / before.knee_peak if before.knee_peak > 1e-9 else 1.0)
+    return replace(
+        result,
+        motion=part.put_back(result.motion, closes=cycle is not None),
+        knee_ratio=peak / before.knee_peak if before.knee_peak > 1e-9 else 1.0,
+    )
 
 
 def knee_limit(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int]) -> float:
     """The largest angular acceleration that knees of a motion get when its feet are planted, radians a second squared: 1.4 times
     what they have, or little enough that nobody sees it.
     """
-    return _limit(_Body(motion, skeleton, roles, _Steps(None, 1)).knee_peak)
+    part = legs_only(motion, skeleton, roles)
+    return _limit(_Body(part.motion, part.skeleton, part.roles, _Steps(None, 1)).knee_peak)
+
+
+def _cycle(motion: Motion, skeleton: Skeleton, roles: Mapping[str, int], touching: Touching | None) -> Cycle:
+    """How a motion that is to be planted as a loop goes round."""
+    if touching is not None:
+        raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: contacts of loops cannot be given")
+    turned, places = (np.asarray(a, np.float64) for a in world_rotations_positions(skeleton, motion.pose.broadcast()))
+    size = float(find_leg(SIDES[0], roles, skeleton, turned[:1], places[:1]).length[0]) / LEG_M
+    cycle = find_cycle(motion, skeleton, turned, places, size)
+    if cycle is None:
+        raise ShapeError(f"motion '{motion.name}' cannot be planted as a loop: its last frame is not its first")
+    return cycle
 
 
 def _planted_once(
@@ -304,7 +323,8 @@ class _Body:
             none = np.zeros(frames)
             return PlantResult(self.motion, footing.touching, footing, none, none, 0.0, 1.0, True)
         hips = np.zeros((frames, 3))
-        if options.hips != "still":
+        joint = self._carrier()
+        if options.hips != "still" and joint >= 0:
             limit = _limit(self.knee_peak) if options.knee_rad_s2 is None else options.knee_rad_s2
             hips = hips_path(self.legs, paths, self.motion.rate_hz, options.hips == "upright", limit)
         self.steps.take()
@@ -317,8 +337,8 @@ class _Body:
                 short = max(short, float(missed[path.held].max(initial=0.0)))
             self.steps.take()
         translations = np.array(self.pose.translations)
-        joint = self._carrier()
-        translations[:, joint] += self._under(int(self.skeleton.parents[joint]), hips)
+        if joint >= 0:
+            translations[:, joint] += self._under(int(self.skeleton.parents[joint]), hips)
         for leg, path in zip(self.legs, paths, strict=True):
             if leg.upper not in self._above(leg.foot):
                 # a foot that does not hang on the leg, as some rigs have it, goes itself
@@ -336,11 +356,11 @@ class _Body:
         return PlantResult(result, footing.touching, footing, moved, away, short, 1.0, False)
 
     def _carrier(self) -> int:
-        """The joint that moves both legs: the hips, or what is above both."""
+        """The joint that moves both legs: the hips, or what is above both; -1 where there is none."""
         above = [self._above(leg.upper) for leg in self.legs]
         shared = [joint for joint in above[0] if joint in above[1]]
         hips = self.roles.get("hips", -1)
-        return hips if hips in shared or not shared else shared[0]
+        return hips if hips in shared else shared[0] if shared else -1
 
     def _above(self, joint: int) -> list[int]:
         """What a joint hangs on, nearest first."""

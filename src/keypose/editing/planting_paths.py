@@ -94,7 +94,8 @@ def _turns(
         own = quat.align_signs(turned[start:stop], axis=0)
         stands = quat.normalize(own.mean(axis=0))
         if ball is not None and level:
-            middle = quat.rotate(quat.multiply(stands, quat.conjugate(own)), (ball - ankle)[start:stop]).mean(axis=0)
+            line = ball[start:stop] - ankle[start:stop]
+            middle = quat.rotate(quat.multiply(stands, quat.conjugate(own)), line).mean(axis=0)
             stands = quat.multiply(_levelling(side, footing, middle, ankle[start:stop].mean(axis=0)), stands)
         own = quat.to_rotation_vector(
             quat.shortest(quat.multiply(np.broadcast_to(stands, own.shape), quat.conjugate(own)))
