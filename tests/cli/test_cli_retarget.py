@@ -157,7 +157,9 @@ def test_reference_frames_and_props_are_checked(tmp_path: Path) -> None:
 def test_an_animal_by_its_roles_and_by_maps(data_dir: Path, tmp_path: Path) -> None:
     fox = data_dir / "gltf/khronos/Fox.glb"
     found = keypose("roles", fox, tmp_path / "fox.json")
-    assert found.returncode == 1 and "quadruped" in found.stdout  # no human, but its roles are written
+    assert found.returncode == 0 and "quadruped" in found.stdout, found.stdout
+    nothing = keypose("roles", data_dir / "gltf/khronos/rigged_simple.gltf")
+    assert nothing.returncode == 1 and "no humanoid or animal" in nothing.stdout
     roles = json.loads((tmp_path / "fox.json").read_text())
     assert {roles[f"tail:{n}"] for n in (1, 2, 3)} == {f"b_Tail0{n}_01{n + 1}" for n in (1, 2, 3)}
     args = ("retarget", fox, "--to", fox, tmp_path / "out.glb", "--clip", "Run")

@@ -72,7 +72,7 @@ def demo(host: Host = "127.0.0.1", port: Port = 0, no_browser: NoBrowser = False
 
 
 _StudioInputs = Annotated[
-    list[str] | None, typer.Argument(metavar="[FILE]...", help="Files, or sample:NAME.", show_default=False)
+    list[str] | None, typer.Argument(metavar="FILE", help="Files, or sample:NAME.", show_default=False)
 ]
 
 
@@ -101,7 +101,7 @@ def play(
     files: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[GRAPH|FILE]...",
+            metavar="GRAPH|FILE",
             help="A graph's JSON, locomotion, or files to look at; locomotion if not given.",
             show_default=False,
         ),
@@ -369,7 +369,7 @@ def graph(
 def bench(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[NAME]", help="kernels, bvh, fk, runtime, io, curves, ik; all if not given."),
+        typer.Argument(metavar="NAME", help="kernels, bvh, fk, runtime, io, curves, ik; all if not given."),
     ] = None,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON.")] = None,
     rounds: Annotated[int, typer.Option("--rounds", help="How often every case is timed.", min=3, max=500)] = 15,

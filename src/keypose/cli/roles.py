@@ -42,7 +42,7 @@ def print_roles(reference: str, output: Path | None, *, reading: Reading = AS_TH
         print_json({"roles": rows, "missing": list(found.missing), "notes": list(found.notes)})
     else:
         _print_table(found, character.skeleton)
-    return found.is_humanoid
+    return not found.missing
 
 
 def _print_table(found: RoleMap, skeleton: Skeleton) -> None:
@@ -61,4 +61,4 @@ def _print_table(found: RoleMap, skeleton: Skeleton) -> None:
     for note in found.notes:
         out.print(f"[yellow]note[/yellow] {escape(note)}")
     if found.missing:
-        out.print(f"[red]no humanoid:[/red] nothing plays {', '.join(found.missing)}")
+        out.print(f"[red]no humanoid or animal:[/red] nothing plays {', '.join(found.missing)}")

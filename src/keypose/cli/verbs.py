@@ -277,7 +277,10 @@ def retarget(
 )
 def rig(
     character: Annotated[
-        str, typer.Argument(metavar="CHARACTER", help="A file with a humanoid, or sample:NAME.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="CHARACTER", help="A file with a human or an animal, or sample:NAME.", show_default=False
+        ),
     ],
     output: Annotated[
         Path | None, typer.Argument(metavar="OUT", help="The project to write, OUT.keypose.", show_default=False)
@@ -296,7 +299,7 @@ def rig(
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Rig a humanoid: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
+    """Rig a human or an animal: FK and IK controls, foot roll, look-at, fingers; list them, or write a project."""
     from keypose.cli.inputs import Reading
     from keypose.cli.rig import rig_file
 
@@ -326,7 +329,7 @@ def rig(
 def roles(
     file: OneInput,
     output: Annotated[
-        Path | None, typer.Argument(metavar="[MAP]", help="Write the map as JSON.", show_default=False)
+        Path | None, typer.Argument(metavar="MAP", help="Write the map as JSON.", show_default=False)
     ] = None,
     json: JsonOption = False,
     skeleton: SkeletonFile = None,
@@ -334,7 +337,7 @@ def roles(
     unit: UnitOption = None,
     up: UpOption = None,
 ) -> None:
-    """Say which joint plays which role in the body; exit code 1 where a humanoid's are not all there."""
+    """Say which joint plays which role in the body, of a human or an animal; exit code 1 where some that it needs are missing."""
     from keypose.cli.inputs import Reading
     from keypose.cli.roles import print_roles
 
