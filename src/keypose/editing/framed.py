@@ -103,7 +103,7 @@ def edit_frames(clip: Clip, skeleton: Skeleton, change: Callable[[Motion], Motio
             # A spline on the sphere is shaped by its neighbours; cut anywhere, it would change elsewhere too.
             if parts or (curve is not None and np.isin(curve.modes, ROTATION_ONLY).any()):
                 changed = np.ones(len(changed), bool)
-            curves[channel] = _put_frames(curve, before.times_s, values, changed, np.asarray(a[:, joint]), kind)
+            curves[channel] = put_frames(curve, before.times_s, values, changed, np.asarray(a[:, joint]), kind)
     return replace(clip, curves=curves)
 
 
@@ -114,10 +114,10 @@ def _is_part(channel: Channel, property: Property) -> bool:
     return channel.property is property and channel.component is not None
 
 
-def _put_frames(
+def put_frames(
     curve: Curve | None, times: Floats, values: Array, changed: np.ndarray, old: Array, kind: CurveKind
 ) -> Curve:
-    """A curve with the changed frames as keys."""
+    """A curve with the frames (T) that ``changed`` as keys of their ``values``; ``old`` is what it gave there before."""
     rows = np.flatnonzero(changed)
     first, last = int(rows[0]), int(rows[-1])
     # The frames beside the changed ones say where the old curve ends and begins again.

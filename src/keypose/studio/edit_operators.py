@@ -47,11 +47,17 @@ def operated(asked: Operation, document: Document) -> tuple[Document, str, str]:
     """
     from keypose.editing.operators import OPERATORS, run_operator
     from keypose.editing.selection import Selection
+    from keypose.studio.rig_operators import ON_JOINTS, operate_on_rig, rig_of_clip
 
     clip = document.clip(asked.clip)
     keys = {channel: indices.tolist() for channel, indices in asked.keys.items() if indices is not None}
     selection = Selection(tuple(asked.keys) or None, keys or None, asked.start_s, asked.end_s)
-    result = run_operator(asked.operator, clip, _skeleton(asked, document), selection, asked.parameters)
+    skeleton = _skeleton(asked, document)
+    rig = rig_of_clip(document, asked.character, clip) if asked.operator in ON_JOINTS and asked.character else None
+    if rig is not None:
+        result = operate_on_rig(asked.operator, clip, rig, skeleton, selection, asked.parameters)
+    else:
+        result = run_operator(asked.operator, clip, skeleton, selection, asked.parameters)
     changed = replace(document, clips={**document.clips, clip.name: replace(result.clip, name=clip.name)})
     return changed, OPERATORS[asked.operator].label, result.report
 
