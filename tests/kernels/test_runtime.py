@@ -128,22 +128,28 @@ def test_importing_the_package_loads_no_compiler():
     assert (code, printed) == (0, "False"), errors
 
 
-PARSE = "from keypose.kernels import text, runtime; text.parse_numbers(b'1 2'); print(runtime.cache_folder())"
+COMPILE = """
+import numpy as np
+from keypose.kernels import runtime, slerp
+q = np.array([[0.6, 0.8, 0, 0]])
+assert abs(slerp.slerp(q, q, [0.5]) - q).max() < 1e-4
+print(runtime.cache_folder())
+"""
 
 
 def test_compiled_code_is_kept_in_the_users_cache_and_used_again(tmp_path):
-    code, folder, errors = run(PARSE, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")
+    code, folder, errors = run(COMPILE, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")
     assert code == 0, errors
     if sys.platform == "linux":
         assert Path(folder).is_relative_to(tmp_path)
     kept = {path: path.stat().st_mtime_ns for path in Path(folder).glob("*.nbc")}
     assert kept
-    assert run(PARSE, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")[0] == 0
+    assert run(COMPILE, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")[0] == 0
     assert kept == {path: path.stat().st_mtime_ns for path in Path(folder).glob("*.nbc")}
 
 
 def test_numbas_own_setting_names_the_cache(tmp_path):
-    code, folder, errors = run(PARSE, NUMBA_CACHE_DIR=str(tmp_path))
+    code, folder, errors = run(COMPILE, NUMBA_CACHE_DIR=str(tmp_path))
     assert code == 0, errors
     assert Path(folder).is_relative_to(tmp_path) and list(Path(folder).glob("*.nbc"))
 
@@ -151,20 +157,20 @@ def test_numbas_own_setting_names_the_cache(tmp_path):
 def test_a_cache_that_cannot_be_written_only_costs_time(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
-    code, _, errors = run(PARSE, NUMBA_CACHE_DIR=str(blocked))
+    code, _, errors = run(COMPILE, NUMBA_CACHE_DIR=str(blocked))
     assert code == 0, errors
 
 
 def test_damaged_cache_files_only_cost_time(tmp_path):
-    _, folder, _ = run(PARSE, NUMBA_CACHE_DIR=str(tmp_path))
+    _, folder, _ = run(COMPILE, NUMBA_CACHE_DIR=str(tmp_path))
     for path in Path(folder).iterdir():
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    code, _, errors = run(PARSE, NUMBA_CACHE_DIR=str(tmp_path))
+    code, _, errors = run(COMPILE, NUMBA_CACHE_DIR=str(tmp_path))
     assert code == 0, errors
 
 
 def test_width_and_sources_name_the_folder(tmp_path):
-    folders = {run(PARSE, NUMBA_CACHE_DIR=str(tmp_path), KEYPOSE_SIMD_WIDTH=width)[1] for width in ("4", "8")}
+    folders = {run(COMPILE, NUMBA_CACHE_DIR=str(tmp_path), KEYPOSE_SIMD_WIDTH=width)[1] for width in ("4", "8")}
     assert len(folders) == 2
 
 
