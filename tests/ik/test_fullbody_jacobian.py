@@ -91,7 +91,8 @@ def test_jacobians(name: str, seed: int) -> None:
 def test_curvature() -> None:
     """With it the model of the cost is right to the third order where tasks are places."""
     rng = np.random.default_rng(4)
-    problem, rotations, shift = problem_of(rng, [TASKS["position"](rng), TASKS["contact"](rng)])
+    some = ("position", "contact", "relative place", "centre of mass")
+    problem, rotations, shift = problem_of(rng, [TASKS[name](rng) for name in some])
     turned, places, rows = dense.evaluate(problem, rotations, shift)
     matrix = dense.jacobian(problem, rows, places)
     gradient = np.einsum("nrc,nr->nc", matrix, weighted(problem, rotations, shift))

@@ -57,9 +57,9 @@ def solve_pose(
     from where it starts; ``root`` what the root may do. A target out of reach, or tasks against each other, are no error: the
     result says what is left, and the cost falls with every step. With `Smoothness`, the first axis of the batch is time.
 
-    Large batches, and all once it is loaded, go through a compiled solver whose step is linear in joints and tasks; relative
-    tasks, centres of mass and limits of proper Euler angles are solved by NumPy, with the same result. Who solves the same
-    tasks again and again prepares them once: `prepare_solver`.
+    Large batches, and all once it is loaded, go through a compiled solver whose step is linear in joints and tasks; limits of
+    proper Euler angles are solved by NumPy, with the same result. Who solves the same tasks again and again prepares them
+    once: `prepare_solver`.
 
     Raises:
         UnknownName: for a joint, policy or axis that does not exist.

@@ -130,15 +130,15 @@ def rows_of(
 
 def _relative_rows(term: Term, turned: Floats, places: Floats) -> list[Rows]:
     joint, other = term.joint, term.other
-    back = np.asarray(quat.to_matrix(quat.conjugate(turned[:, other])))
     found: list[Rows] = []
-    if term.positioned:
-        arm = quat.rotate(turned[:, joint], term.offset)
-        way = places[:, joint] + arm - places[:, other]
-        miss = np.einsum("nij,nj->ni", back, way) - term.target
-        ours, theirs = (joint, back @ _crossing(arm), back), (other, -back @ _crossing(way), -back)
-        found.append(Rows(miss, term.weight[:, None], (ours, theirs)))
+    if term.positioned:  # two points that are pulled together, in the model's axes
+        arm, theirs = quat.rotate(turned[:, joint], term.offset), quat.rotate(turned[:, other], term.target)
+        miss = places[:, joint] + arm - places[:, other] - theirs
+        eye = np.broadcast_to(np.eye(3), (len(miss), 3, 3))
+        parts = ((joint, _crossing(arm), eye), (other, -_crossing(theirs), -eye))
+        found.append(Rows(miss, term.weight[:, None], parts))
     if term.turn is not None:
+        back = np.asarray(quat.to_matrix(quat.conjugate(turned[:, other])))
         off = turn_between(term.turn, quat.multiply(quat.conjugate(turned[:, other]), turned[:, joint]))
         by, zero = inverse_left(off) @ back, np.zeros((len(off), 3, 3))
         found.append(Rows(off, term.turn_weight[:, None], ((joint, by, zero), (other, -by, zero)), angular=True))
@@ -299,40 +299,50 @@ def curvature(problem: Problem, turned: Floats, places: Floats) -> Floats:
     count, joints = places.shape[:2]
     out = np.zeros((count, joints + 1, 3, joints + 1, 3))
     for term in problem.terms:
-        pulled = _pull(term, turned, places)
-        if pulled is None:
-            continue
-        point, force = pulled
-        chain = [int(j) for j in np.flatnonzero(problem.above[:, term.joint])]
-        for low in chain:
-            arm = point - places[:, low]
-            block = arm[:, :, None] * force[:, None, :] - np.sum(arm * force, axis=-1)[:, None, None] * np.eye(3)
-            for high in chain:
-                if high < low:
-                    out[:, high, :, low] += block
-                    out[:, low, :, high] += np.swapaxes(block, 1, 2)
-            out[:, low, :, low] += 0.5 * (block + np.swapaxes(block, 1, 2))
+        for joint, point, force in _pulls(term, turned, places):
+            chain = [int(j) for j in np.flatnonzero(problem.above[:, joint])]
+            for low in chain:
+                arm = point - places[:, low]
+                along = np.sum(arm * force, axis=-1)[:, None, None]
+                block = arm[:, :, None] * force[:, None, :] - along * np.eye(3)
+                for high in chain:
+                    if high < low:
+                        out[:, high, :, low] += block
+                        out[:, low, :, high] += np.swapaxes(block, 1, 2)
+                out[:, low, :, low] += 0.5 * (block + np.swapaxes(block, 1, 2))
     return out.reshape(count, 3 * joints + 3, 3 * joints + 3)
 
 
-def _pull(term: Term, turned: Floats, places: Floats) -> tuple[Floats, Floats] | None:
-    """The point that a task pulls at and its force, both (N, 3)."""
+def _pulls(term: Term, turned: Floats, places: Floats) -> list[tuple[int, Floats, Floats]]:
+    """The joints whose bodies a task pulls at, where, and with which force, both (N, 3)."""
+    joint, other, square = term.joint, term.other, term.weight[:, None] ** 2
+    if term.kind is CenterOfMassTask:
+        heavy = places + quat.rotate(turned, term.offset)
+        miss = (term.masses[:, None] * heavy).sum(axis=1) - term.target
+        force = square * np.asarray(term.axis) ** 2 * miss
+        return [(int(j), heavy[:, j], term.masses[j] * force) for j in np.flatnonzero(term.masses)]
+    if term.kind is RelativeTask:
+        if not term.positioned:
+            return []
+        point = places[:, joint] + quat.rotate(turned[:, joint], term.offset)
+        wanted = places[:, other] + quat.rotate(turned[:, other], term.target)
+        force = square * (point - wanted)
+        return [(joint, point, force), (other, wanted, -force)]
     if term.kind is not PositionTask and term.kind is not ContactTask and term.kind is not LookAtTask:
-        return None
-    place = places[:, term.joint]
-    point = place + quat.rotate(turned[:, term.joint], term.offset)
-    square = term.weight[:, None] ** 2
+        return []
+    place = places[:, joint]
+    point = place + quat.rotate(turned[:, joint], term.offset)
     if term.kind is PositionTask:
-        return point, square * (point - term.target)
+        return [(joint, point, square * (point - term.target))]
     if term.kind is ContactTask and term.turn is not None:
         height = np.sum((point - term.target) * term.turn, axis=-1)[:, None]
         on = isinstance(term.task, ContactTask) and term.task.on
-        return point, square * term.turn * (height if on else np.minimum(height, 0.0))
-    axis = quat.rotate(turned[:, term.joint], np.broadcast_to(term.axis, point.shape))
+        return [(joint, point, square * term.turn * (height if on else np.minimum(height, 0.0)))]
+    axis = quat.rotate(turned[:, joint], np.broadcast_to(term.axis, point.shape))
     way = term.target - point
     far = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
     off, way = axis - way / far, way / far
-    return place, square * (off - way * np.sum(way * off, axis=-1, keepdims=True)) / far
+    return [(joint, place, square * (off - way * np.sum(way * off, axis=-1, keepdims=True)) / far)]
 
 
 def _damped_step(

@@ -21,7 +21,11 @@ from keypose.model import Pose, Skeleton
 Targets = Mapping[Task, Any] | Sequence[Any] | Floats
 
 
-_IN_METRES = (columns.POSITION, columns.CONTACT, columns.ROOT_PRIOR)
+_IN_METRES = (
+    columns.POSITION, columns.CONTACT, columns.ROOT_PRIOR, columns.RELATIVE_PLACE, columns.CENTER,
+)  # fmt: skip
+# A relative task has an entry for its place and one for its turn.
+_OF_KIND = {columns.RELATIVE_PLACE: ("position", "weight"), columns.RELATIVE_TURN: ("rotation", "rotation_weight")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +57,8 @@ class Plan:
         """What is left of each task, of what is left (entries, N) of the entries of the tables."""
         metres: list[Array | None] = [None] * len(self.tasks)
         angles: list[Array | None] = [None] * len(self.tasks)
-        kinds = self.tables.arguments[4][:: columns.TERM_COLUMNS]
-        for (task, _), kind, size in zip(self.tables.terms, kinds.tolist(), left, strict=True):
+        kinds = _of_terms(self.tables, columns.T_KIND)
+        for (task, _), kind, size in zip(self.tables.terms, kinds, left, strict=True):
             sizes = metres if kind in _IN_METRES else angles
             before = sizes[task]
             sizes[task] = size if before is None else np.maximum(before, size)
@@ -108,23 +112,30 @@ def _with_places(tasks: tuple[Task, ...], problem: Problem, tables: Tables) -> P
     varying: list[tuple[Field, Floats]] = []
     follow = {one.joint for one in problem.limited if one.follows}
     from_start = [(joint, at) for joint, at in tables.homes if joint in follow]
-    joints = tables.arguments[4][columns.T_JOINT :: columns.TERM_COLUMNS]
-    kinds = tables.arguments[4][:: columns.TERM_COLUMNS]
-    for (n, first), joint, kind in zip(tables.terms, joints.tolist(), kinds.tolist(), strict=True):
+    joints, kinds = _of_terms(tables, columns.T_JOINT), _of_terms(tables, columns.T_KIND)
+    for (n, first), joint, kind in zip(tables.terms, joints, kinds, strict=True):
         task, at = tasks[n], first
         if kind == columns.PRIOR and isinstance(task, PosePrior) and task.pose is None:
             from_start.append((int(tables.joints[joint]), at))
         for name, array, width in fields_of(task):
+            if name not in _OF_KIND.get(kind, (name,)):
+                continue
             size = array.shape[-1] if width else 1
             field = Field(n, name, at, size)
             if name == target_of(task):
                 targets[n] = field
             if array.ndim > width:
-                if name == "normal" or (name == "target" and size == 4):
+                if name == "normal" or size == 4:
                     array = array / np.linalg.norm(array, axis=-1, keepdims=True)
                 varying.append((field, array if width else array[..., None]))
             at += size
     return Plan(tasks, problem, tables, tuple(targets), tuple(varying), tuple(from_start))
+
+
+def _of_terms(tables: Tables, column: int) -> list[int]:
+    """A column of the table of terms."""
+    table, count = tables.arguments[4], tables.arguments[5]
+    return table[: count * columns.TERM_COLUMNS].reshape(count, -1)[:, column].tolist()
 
 
 def is_plain(pose: Pose, skeleton: Skeleton) -> bool:

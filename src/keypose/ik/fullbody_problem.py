@@ -223,7 +223,8 @@ def least_damping(tasks: Sequence[Task]) -> float:
 
 def fields_of(task: Task) -> list[tuple[str, Floats, int]]:
     """Name, array and number of axes that are no batch, of what may differ from pose to pose, in the order of the tables."""
-    return [(name, np.asarray(getattr(task, name)), width) for name, width in _BATCHED.get(type(task), ())]
+    named = [(name, getattr(task, name), width) for name, width in _BATCHED.get(type(task), ())]
+    return [(name, np.asarray(value), width) for name, value, width in named if value is not None]
 
 
 def target_of(task: Task) -> str:

@@ -31,8 +31,6 @@ _ALONE = 2  # up to so many are solved one by one
 
 def is_compiled(problem: Problem) -> bool:
     """Whether the compiled solver knows everything that is asked for."""
-    if any(t.kind is CenterOfMassTask or t.kind is RelativeTask for t in problem.terms):
-        return False
     return not any(isinstance(o.limit, EulerRange) and o.limit.order[0] == o.limit.order[2] for o in problem.limited)
 
 
@@ -117,12 +115,13 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
     entries = [(n, *entry) for n, term in enumerate(problem.terms) for entry in _entries(problem, term)]
     writer = _Writer(count)
     writer.add(np.zeros((count, 2 * len(entries))))  # what is left of each, at the best pose and at the last
-    terms: list[list[int]] = []
+    terms: list[Ints] = []
     for _, kind, joint, option, values in entries:
-        terms.append([kind, int(place[joint]), writer.width, option])
+        terms.append(np.array([kind, place[joint], writer.width, option], np.int64))
         writer.add(*values)
         if kind == columns.PRIOR:
             joints[place[joint], columns.J_PRIOR] = 1
+    coupled = _coupled([(n, place[_bodies(problem.terms[entry[0]], entry[1])]) for n, entry in enumerate(entries)])
     limits: list[list[int]] = []
     homes: list[tuple[int, int]] = []
     numbers: list[Floats] = []
@@ -151,7 +150,7 @@ def make_tables(problem: Problem, tolerance_m: float, tolerance_rad: float, sett
         rows[:, start + columns.STATES :] = np.concatenate(writer.columns, axis=1)
     arguments = (
         joints.ravel(), size, int(place[problem.mover]) if problem.mover >= 0 else -1,
-        sum(1 << n for n in range(3) if problem.ways[n]), np.array(terms, np.int64).ravel(), len(terms),
+        sum(1 << n for n in range(3) if problem.ways[n]), np.concatenate([*terms, coupled]), len(terms),
         np.array(limits, np.int64).ravel(), len(limits), np.array(numbers, np.float64).ravel(), options,
     )  # fmt: skip
     names = (
@@ -172,8 +171,12 @@ def _used(problem: Problem) -> Ints:
     for term in problem.terms:
         if term.kind is PosePrior or term.kind is Smoothness:
             needed |= (term.by_joint > 0) & (problem.free > 0)
+        elif term.kind is CenterOfMassTask:
+            needed |= term.masses > 0
         else:
             needed[term.joint] = True
+            if term.other >= 0:
+                needed[term.other] = True
     if problem.mover >= 0:
         needed[problem.mover] = True
     return np.flatnonzero(problem.above[:, needed].any(axis=1))
@@ -186,6 +189,12 @@ def _idle(problem: Problem) -> Array:
         if term.kind is PosePrior or term.kind is Smoothness:
             moved |= term.by_joint > 0
             continue
+        if term.kind is CenterOfMassTask:
+            heavy = term.masses > 0
+            moved |= problem.above[:, heavy].any(axis=1) if np.any(term.offset) else _over(problem, heavy)
+            continue
+        if term.other >= 0:
+            moved |= problem.above[:, term.other]
         above = problem.above[:, term.joint].copy()
         if term.kind is PositionTask and not np.any(term.offset):
             above[term.joint] = False
@@ -193,6 +202,34 @@ def _idle(problem: Problem) -> Array:
     for one in problem.limited:
         moved[one.joint] = True  # it may have to come inside
     return ~moved
+
+
+def _over(problem: Problem, joints: Array) -> Array:
+    """Joints that stand above some of these."""
+    others = problem.above & ~np.eye(len(joints), dtype=bool)
+    return others[:, joints].any(axis=1)
+
+
+def _bodies(term: Term, kind: int) -> Ints:
+    """The joints of an entry that couples several."""
+    if kind == columns.CENTER:
+        return np.flatnonzero(term.masses)
+    return np.array(
+        [term.joint, term.other] if kind in (columns.RELATIVE_PLACE, columns.RELATIVE_TURN) else [], np.int64
+    )
+
+
+def _coupled(bodies: list[tuple[int, Ints]]) -> Ints:
+    """What follows the terms in their table: which couple which bodies."""
+    bodies = [(term, places) for term, places in bodies if len(places)]
+    counts = [len(places) for _, places in bodies]
+    heads = [(term, len(places), sum(counts[:n])) for n, (term, places) in enumerate(bodies)]
+    parts = [
+        np.array([len(bodies), sum(counts)]),
+        *(np.array(head) for head in heads),
+        *(places for _, places in bodies),
+    ]
+    return np.concatenate(parts).astype(np.int64)
 
 
 class _Writer:
@@ -221,6 +258,18 @@ def _entries(problem: Problem, term: Term) -> list[tuple[int, int, int, tuple[Fl
         on = int(isinstance(term.task, ContactTask) and term.task.on)
         return [(columns.CONTACT, term.joint, on, (term.target, term.turn, term.weight, term.offset))]
     found: list[tuple[int, int, int, tuple[Floats, ...]]] = []
+    if term.kind is RelativeTask:
+        if term.positioned:
+            found.append((columns.RELATIVE_PLACE, term.joint, 0, (term.target, term.weight, term.offset)))
+        if term.turn is not None:
+            found.append((columns.RELATIVE_TURN, term.joint, 0, (term.turn, term.turn_weight)))
+        return found
+    if term.kind is CenterOfMassTask:
+        heavy = np.flatnonzero(term.masses)
+        masses = np.broadcast_to(term.masses[heavy, None], (count, len(heavy), 1))
+        points = np.concatenate([np.broadcast_to(term.offset[..., heavy, :], (count, len(heavy), 3)), masses], axis=-1)
+        axes = np.broadcast_to(term.axis, (count, 3))
+        return [(columns.CENTER, int(heavy[0]), 0, (term.target, term.weight, axes, points))]
     for joint in np.flatnonzero((term.by_joint > 0) & (problem.free > 0)):
         weight = np.full(count, term.by_joint[joint])
         found.append((columns.PRIOR, int(joint), 0, (term.target[:, joint], weight)))

@@ -8,6 +8,7 @@ Lanes take a step, keep it where the cost fell, and set their damping each for i
 
 from __future__ import annotations
 
+from keypose.kernels.fullbodycoupled import follow_coupled, inverses_of, room_of_coupled
 from keypose.kernels.fullbodylimits import find_normals, force_to_bound, hold_inside
 from keypose.kernels.fullbodystep import eliminate, follow, gather_forces
 from keypose.kernels.fullbodytables import (
@@ -18,6 +19,7 @@ from keypose.kernels.fullbodytables import (
     CURVED,
     DAMPING,
     DONE,
+    EXTRA,
     FORCED,
     GROWTH,
     INERTIA,
@@ -50,8 +52,6 @@ from keypose.kernels.rotations import load3, load4, store3, store4
 from keypose.kernels.runtime import kernel, scratch_like
 from keypose.kernels.vectors import fill, lanes, load, pointer, pointer_alone, store
 
-EXTRA = 36
-
 
 @kernel
 def solve_rows(
@@ -59,7 +59,7 @@ def solve_rows(
 ):  # fmt: skip
     """Solve some rows of a flat table in place, as many at a time as a vector has lanes, for up to so many steps each."""
     n = lanes(rows)
-    memory = scratch_like(rows, (columns + count * SLOTS + EXTRA) * n)
+    memory = scratch_like(rows, (columns + count * SLOTS + EXTRA + room_of_coupled(terms, term_count, count)) * n)
     _solve_blocks(
         rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
         options, memory, pointer(memory), n,
@@ -71,7 +71,7 @@ def solve_alone(
     rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers, options
 ):  # fmt: skip
     """The same, one row at a time: for fewer rows than a vector has lanes."""
-    memory = scratch_like(rows, columns + count * SLOTS + EXTRA)
+    memory = scratch_like(rows, columns + count * SLOTS + EXTRA + room_of_coupled(terms, term_count, count))
     _solve_blocks(
         rows, columns, picked, steps, joints, count, mover, ways, terms, term_count, limits, limit_count, numbers,
         options, memory, pointer_alone(memory), 1,
@@ -109,10 +109,12 @@ def solve_block(
     q, off, shift, state = 0, 4 * count * n, 7 * count * n, (7 * count + 3) * n
     data, work = state + STATES * n, columns * n
     extra = work + count * SLOTS * n
+    room = extra + EXTRA * n
+    kept = inverses_of(terms, term_count, room, n)
     near, best_shift, move, active = extra, extra + 9 * n, extra + 12 * n, extra + 15 * n
-    promised, size, sound, cost = extra + 16 * n, extra + 17 * n, extra + 18 * n, extra + 19 * n
-    miss, damping, curving = extra + 20 * n, extra + 21 * n, state + CURVED * n
-    live, found = memory[active : active + n], memory[extra + 22 * n : extra + 22 * n + 12]
+    promised, size, sound, cost = extra + 16 * n, extra + 17 * n, extra + 18 * n, extra + 20 * n
+    miss, damping, curving = extra + 21 * n, extra + 22 * n, state + CURVED * n
+    live, found = memory[active : active + n], memory[extra + 23 * n : extra + 23 * n + 12]
     per_m, per_rad = 1.0 / options[O_TOLERANCE_M], 1.0 / options[O_TOLERANCE_RAD]
     plain = limit_count > 0  # whether plain sums are kept: for bounds and for curvature
     for k in range(n):
@@ -153,8 +155,13 @@ def solve_block(
             if again:
                 _copy_sums(count, row, work, n, SAVED, INERTIA)
             eliminate(
-                joints, count, mover, ways, row, work, near, move, n, curved, forced, damping, curving, sound, promised
-            )
+                joints, count, mover, ways, row, work, near, move, kept, n, curved, forced, damping, curving, sound,
+                promised,
+            )  # fmt: skip
+            if kept >= 0:
+                follow_coupled(
+                    joints, count, mover, terms, term_count, row, work, room, kept, move, sound, promised, n, forced
+                )
             follow(
                 joints, count, mover, row, q, work, move, active, promised, size, n, curved, forced, damping, curving
             )

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numba import carray, types  # pyright: ignore[reportPrivateImportUsage]
 
-from keypose.kernels.fullbody import EXTRA, solve_block
-from keypose.kernels.fullbodytables import J_PARENT, JOINT_COLUMNS, LIMIT_NUMBERS, OPTIONS, SLOTS, TURN
+from keypose.kernels.fullbody import solve_block
+from keypose.kernels.fullbodycoupled import room_of_coupled
+from keypose.kernels.fullbodytables import EXTRA, J_PARENT, JOINT_COLUMNS, LIMIT_NUMBERS, OPTIONS, SLOTS, TURN
 from keypose.kernels.rotations import quat_rotate
 from keypose.kernels.runtime import entry_of, inlined, kernel, scratch_like
 from keypose.kernels.vectors import float64_at, int64_at, pointer_alone
@@ -53,7 +54,8 @@ def solve_one(targets, bones, turns, scales, moved, turned, left, address):
     joints, terms, limits = int64_at(about[JOINTS]), int64_at(about[TERMS]), int64_at(about[LIMITS])
     used, homes, fields = int64_at(about[USED]), int64_at(about[HOMES]), int64_at(about[FIELDS])
     count, columns, template = about[COUNT], about[COLUMNS], float64_at(about[TEMPLATE])
-    memory = scratch_like(left, columns + count * SLOTS + EXTRA)
+    room = room_of_coupled(terms, about[TERM_COUNT], count)
+    memory = scratch_like(left, columns + count * SLOTS + EXTRA + room)
     row = pointer_alone(memory)
     for c in range(columns):
         row[c] = template[c]

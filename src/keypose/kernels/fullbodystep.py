@@ -45,12 +45,19 @@ from keypose.kernels.fullbodytables import (
 from keypose.kernels.fullbodytasks import add, add3, cross
 from keypose.kernels.rotations import load3, load4, quat_multiply, quat_rotate, store3, store4
 from keypose.kernels.runtime import inlined, kernel
-from keypose.kernels.vectors import absolute, fill, load, maximum, sqrt, store
+from keypose.kernels.vectors import absolute, fill, flip_sign, load, maximum, sqrt, store
 
 
 @inlined
 def _least(a, b):
     return 0.0 - maximum(0.0 - a, 0.0 - b)
+
+
+@inlined
+def negative(row, x):
+    """1 where a number is below 0, 0 elsewhere."""
+    half = fill(row, 0.5)
+    return half - flip_sign(half, x)
 
 
 @inlined
@@ -73,12 +80,17 @@ def _less(xx, xy, xz, yy, yz, zz, nx, ny, nz, scale):
 
 
 @inlined
-def _inverse(row, sound, xx, xy, xz, yy, yz, zz):
-    """The inverse of a symmetric matrix; ``sound`` falls to or below 0 where it is not positive definite."""
+def _inverse(row, sound, below, xx, xy, xz, yy, yz, zz):
+    """The inverse of a symmetric matrix; ``sound`` falls to or below 0 where it is not positive definite.
+
+    How many of its eigenvalues are negative is added up ``below``, if that is anywhere.
+    """
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     whole = xx * a + xy * b + xz * c
     minor = xx * yy - xy * xy
     store(row, sound, _least(load(row, sound), _least(xx, _least(minor, whole))))
+    if below >= 0:
+        add(row, below, negative(row, xx) + negative(row, xx * minor) + negative(row, minor * whole))
     scale = 1.0 / whole
     return scale * a, scale * b, scale * c, scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz), scale * minor
 
@@ -106,7 +118,7 @@ def _columns(ixx, ixy, ixz, iyy, iyz, izz, x, y, z):
 
 
 @kernel
-def _restricted_inverse(row, w, near, n, upright, sound, own, mxx, mxy, mxz, myy, myz, mzz):
+def _restricted_inverse(row, w, near, n, upright, sound, below, own, mxx, mxy, mxz, myy, myz, mzz):
     """The inverse over what a joint may do, to ``near``."""
     for k in range(3):
         if upright and k == 2:
@@ -116,7 +128,7 @@ def _restricted_inverse(row, w, near, n, upright, sound, own, mxx, mxy, mxz, myy
         else:
             nx, ny, nz = load3(row, w + (NORMALS + 3 * k) * n, n)
         mxx, mxy, mxz, myy, myz, mzz = _across(mxx, mxy, mxz, myy, myz, mzz, nx, ny, nz, own)
-    xx, xy, xz, yy, yz, zz = _inverse(row, sound, mxx, mxy, mxz, myy, myz, mzz)
+    xx, xy, xz, yy, yz, zz = _inverse(row, sound, below, mxx, mxy, mxz, myy, myz, mzz)
     scale = 1.0 / own
     for k in range(3):
         if upright and k == 2:
@@ -131,7 +143,7 @@ def _restricted_inverse(row, w, near, n, upright, sound, own, mxx, mxy, mxz, myy
 
 
 @kernel
-def _move_root(row, ways, move, n, lam, sound, gain, c0, c1, c2, c3, c4, c5, hx, hy, hz):
+def _move_root(row, ways, move, kept, n, lam, sound, below, gain, c0, c1, c2, c3, c4, c5, hx, hy, hz):
     """The displacement that the whole rest answers with, along the axes that are free."""
     zero, one = fill(row, 0.0), fill(row, 1.0)
     if ways & 1 == 0:
@@ -140,16 +152,35 @@ def _move_root(row, ways, move, n, lam, sound, gain, c0, c1, c2, c3, c4, c5, hx,
         c1, c3, c4, hy = zero, one, zero, zero
     if ways & 4 == 0:
         c2, c4, c5, hz = zero, zero, one, zero
-    ixx, ixy, ixz, iyy, iyz, izz = _inverse(row, sound, c0 + lam, c1, c2, c3 + lam, c4, c5 + lam)
+    ixx, ixy, ixz, iyy, iyz, izz = _inverse(row, sound, below, c0 + lam, c1, c2, c3 + lam, c4, c5 + lam)
+    if kept >= 0:
+        # Axes that are not free answer nothing.
+        if ways & 1 == 0:
+            ixx = zero
+        if ways & 2 == 0:
+            iyy = zero
+        if ways & 4 == 0:
+            izz = zero
+        store3(row, kept, n, ixx, ixy, ixz)
+        store3(row, kept + 3 * n, n, iyy, iyz, izz)
     x, y, z = _columns(ixx, ixy, ixz, iyy, iyz, izz, hx, hy, hz)
     add(row, gain, 0.5 * (x * hx + y * hy + z * hz))
     store3(row, move, n, 0.0 - x, 0.0 - y, 0.0 - z)
 
 
 @kernel
-def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forced, damping, curving, sound, gain):
-    """From the leaves to the root: what each joint does in answer to the motion of its parent, and what it leaves it."""
+def eliminate(
+    joints, count, mover, ways, row, work, near, move, kept, n, curved, forced, damping, curving, sound, gain
+):  # fmt: skip
+    """From the leaves to the root: what each joint does in answer to the motion of its parent, and what it leaves it.
+
+    The inverses of joints, and the root's after them, are kept where that is said (-1: nowhere), and after ``sound`` how many
+    eigenvalues are negative.
+    """
+    below = sound + n if kept >= 0 else -1
     store(row, sound, fill(row, 1e300))
+    if kept >= 0:
+        store(row, below, fill(row, 0.0))
     store(row, gain, fill(row, 0.0))
     lam, bend = load(row, damping), load(row, curving)
     for back in range(count):
@@ -193,11 +224,14 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
                 ex, ey, ez = ex + ux, ey + uy, ez + uz
             if kind == UPRIGHT or joints[j * JOINT_COLUMNS + J_LIMIT] >= 0:
                 own = absolute(axx) + absolute(ayy) + absolute(azz) + lam
-                _restricted_inverse(row, w, near, n, kind == UPRIGHT, sound, own, mxx, mxy, mxz, myy, myz, mzz)
+                _restricted_inverse(row, w, near, n, kind == UPRIGHT, sound, below, own, mxx, mxy, mxz, myy, myz, mzz)
                 ixx, ixy, ixz = load3(row, near, n)
                 iyy, iyz, izz = load3(row, near + 3 * n, n)
             else:
-                ixx, ixy, ixz, iyy, iyz, izz = _inverse(row, sound, mxx, mxy, mxz, myy, myz, mzz)
+                ixx, ixy, ixz, iyy, iyz, izz = _inverse(row, sound, below, mxx, mxy, mxz, myy, myz, mzz)
+            if kept >= 0:
+                store3(row, kept + 6 * j * n, n, ixx, ixy, ixz)
+                store3(row, kept + (6 * j + 3) * n, n, iyy, iyz, izz)
             a0, a3, a6 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k0, k1, k2)
             a1, a4, a7 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k3, k4, k5)
             a2, a5, a8 = _columns(ixx, ixy, ixz, iyy, iyz, izz, k6, k7, k8)
@@ -232,7 +266,8 @@ def eliminate(joints, count, mover, ways, row, work, near, move, n, curved, forc
             b6, b7 = b6 - (k6 * d0 + k7 * d3 + k8 * d6), b7 - (k6 * d1 + k7 * d4 + k8 * d7)
             b8 = b8 - (k6 * d2 + k7 * d5 + k8 * d8)
         if j == mover:
-            _move_root(row, ways, move, n, lam, sound, gain, c0, c1, c2, c3, c4, c5, hx, hy, hz)
+            root = kept + 6 * count * n if kept >= 0 else -1
+            _move_root(row, ways, move, root, n, lam, sound, below, gain, c0, c1, c2, c3, c4, c5, hx, hy, hz)
         if p >= 0:
             up = work + p * SLOTS * n
             ux, uy, uz = load3(row, up + PLACE * n, n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-POSITION, ORIENTATION, LOOK_AT, CONTACT, PRIOR, ROOT_PRIOR = range(6)
+POSITION, ORIENTATION, LOOK_AT, CONTACT, PRIOR, ROOT_PRIOR, RELATIVE_PLACE, RELATIVE_TURN, CENTER = range(9)
 HINGE, ANGLES, CONE = range(3)
 FREE, FIXED, UPRIGHT = range(3)  # kinds of joints
 # The state of a solve.
@@ -12,6 +12,12 @@ J_PARENT, J_KIND, J_LIMIT, J_PRIOR, JOINT_COLUMNS = range(5)
 T_KIND, T_JOINT, T_AT, T_OPTION, TERM_COLUMNS = range(5)
 L_KIND, L_JOINT, L_HOME, L_I, L_J, L_K, LIMIT_COLUMNS = range(7)
 LIMIT_NUMBERS = 20
+# After the terms: how many of them couple several bodies and how many bodies that are together, for each such term its
+# number, how many bodies and the first of them, and the bodies' joints.
+C_COUNT, C_BODIES, C_TERMS = range(3)
+C_TERM, C_BODY_COUNT, C_FIRST, COUPLING_COLUMNS = range(4)
+WRENCHES = 18  # slots of a body of such a term: three forces and moments
+EXTRA = 36  # slots of a solve beside its joints
 # What `options` says.
 O_TOLERANCE_M, O_TOLERANCE_RAD, O_SETTLED, O_SHRINK, O_GROWTH, O_LEAST = range(6)
 O_MOST, O_FLOOR, O_SLOW, O_ROUNDING, O_PASSES, O_STILL, O_CALM, O_FIRM, OPTIONS = range(6, 15)

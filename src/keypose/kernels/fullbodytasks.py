@@ -6,7 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from keypose.kernels.fullbodytables import (
+    C_BODY_COUNT,
+    C_COUNT,
+    C_FIRST,
+    C_TERM,
+    C_TERMS,
+    CENTER,
     CONTACT,
+    COUPLING_COLUMNS,
+    EXTRA,
     FORCE,
     INERTIA,
     J_PARENT,
@@ -23,6 +31,9 @@ from keypose.kernels.fullbodytables import (
     PRIOR_INERTIA,
     PRIOR_PULL,
     PULL,
+    RELATIVE_PLACE,
+    RELATIVE_TURN,
+    ROOT_PRIOR,
     SLOTS,
     T_AT,
     T_JOINT,
@@ -32,6 +43,7 @@ from keypose.kernels.fullbodytables import (
     TORQUE,
     TURN,
     VIRIAL,
+    WRENCHES,
 )
 from keypose.kernels.rotations import load3, load4, quat_multiply, quat_rotate, store3, store4
 from keypose.kernels.runtime import inlined, kernel
@@ -301,6 +313,137 @@ def _root_prior(row, w, shift, at, left, n, plain, cost):
         _push(row, w, n, px, py, pz, x, y, z)
 
 
+@inlined
+def first_body(terms, couples, head):
+    """Where the bodies of a term that couples several begin in the table of terms."""
+    return couples + C_TERMS + terms[couples + C_COUNT] * COUPLING_COLUMNS + terms[head + C_FIRST]
+
+
+@inlined
+def _wrench(row, at, n, fx, fy, fz, mx, my, mz):
+    """How one residual follows a body: by moving and by turning."""
+    store3(row, at, n, fx, fy, fz)
+    store3(row, at + 3 * n, n, mx, my, mz)
+
+
+@inlined
+def _point_wrenches(row, at, n, bx, by, bz, sx, sy, sz):
+    """How the three coordinates of a point at an arm follow its body, times a factor each."""
+    zero = fill(row, 0.0)
+    _wrench(row, at, n, sx, zero, zero, zero, sx * bz, 0.0 - sx * by)
+    _wrench(row, at + 6 * n, n, zero, sy, zero, 0.0 - sy * bz, zero, sy * bx)
+    _wrench(row, at + 12 * n, n, zero, zero, sz, sz * by, 0.0 - sz * bx, zero)
+
+
+@inlined
+def _pull_at(row, w, n, bx, by, bz, fx, fy, fz, plain):
+    """A force at an arm of a body, which no inertia belongs to."""
+    add3(row, w + FORCE * n, n, fx, fy, fz)
+    mx, my, mz = cross(bx, by, bz, fx, fy, fz)
+    add3(row, w + TORQUE * n, n, mx, my, mz)
+    if plain:
+        px, py, pz = load3(row, w + PLACE * n, n)
+        _push(row, w, n, px + bx, py + by, pz + bz, fx, fy, fz)
+
+
+@kernel
+def _relative_place(row, w, v, at, left, wrenches, n, plain, cost, miss, per_m):
+    """A point of one body at a point of another: two points pulled together."""
+    a, b, c, d = load4(row, w + TURN * n, n)
+    bx, by, bz = load3(row, at + 4 * n, n)
+    bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+    a, b, c, d = load4(row, v + TURN * n, n)
+    tx, ty, tz, weight = load4(row, at, n)
+    tx, ty, tz = quat_rotate(a, b, c, d, tx, ty, tz)
+    px, py, pz = load3(row, w + PLACE * n, n)
+    ux, uy, uz = load3(row, v + PLACE * n, n)
+    rx, ry, rz = px + bx - ux - tx, py + by - uy - ty, pz + bz - uz - tz
+    _point_wrenches(row, wrenches, n, bx, by, bz, weight, weight, weight)
+    back = 0.0 - weight
+    _point_wrenches(row, wrenches + WRENCHES * n, n, tx, ty, tz, back, back, back)
+    ww = weight * weight
+    fx, fy, fz = ww * rx, ww * ry, ww * rz
+    _pull_at(row, w, n, bx, by, bz, fx, fy, fz, plain)
+    _pull_at(row, v, n, tx, ty, tz, 0.0 - fx, 0.0 - fy, 0.0 - fz, plain)
+    squared = rx * rx + ry * ry + rz * rz
+    distance = sqrt(squared)
+    store(row, left, distance)
+    add(row, cost, 0.5 * (ww * squared))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * distance))
+
+
+@kernel
+def _relative_turn(row, w, v, at, left, wrenches, n, near, plain, cost, miss, per_rad):
+    """One body turned in another: how the rotation vector between them, in the model's axes, follows both."""
+    a, b, c, d = load4(row, v + TURN * n, n)
+    e, f, g, h = load4(row, at, n)
+    weight = load(row, at + 4 * n)
+    a, b, c, d = quat_multiply(a, b, c, d, e, f, g, h)  # what the first body is to be turned like
+    e, f, g, h = load4(row, w + TURN * n, n)
+    a, b, c, d = quat_multiply(e, f, g, h, a, 0.0 - b, 0.0 - c, 0.0 - d)
+    store4(row, near, n, a, b, c, d)
+    _logarithm(row, near, near + 4 * n, n)
+    x, y, z, angle = load4(row, near + 4 * n, n)
+    zero, half = fill(row, 0.0), 0.5 * angle
+    own = sqrt(maximum(load(row, near + 8 * n) - half * half, zero))  # half angle / its tangent
+    rest = (1.0 - own) / maximum(angle * angle, fill(row, 1e-30))
+    # Rows of the inverse left Jacobian: own I + rest v v^T - [v] / 2.
+    for k in range(2):
+        s, out = (weight if k == 0 else 0.0 - weight), wrenches + k * WRENCHES * n
+        _wrench(
+            row, out, n, zero, zero, zero,
+            s * (own + rest * x * x), s * (rest * x * y + 0.5 * z), s * (rest * x * z - 0.5 * y),
+        )  # fmt: skip
+        _wrench(
+            row, out + 6 * n, n, zero, zero, zero,
+            s * (rest * x * y - 0.5 * z), s * (own + rest * y * y), s * (rest * y * z + 0.5 * x),
+        )  # fmt: skip
+        _wrench(
+            row, out + 12 * n, n, zero, zero, zero,
+            s * (rest * x * z + 0.5 * y), s * (rest * y * z - 0.5 * x), s * (own + rest * z * z),
+        )  # fmt: skip
+    ww = weight * weight
+    gx, gy, gz = ww * x, ww * y, ww * z
+    add3(row, w + TORQUE * n, n, gx, gy, gz)
+    add3(row, v + TORQUE * n, n, 0.0 - gx, 0.0 - gy, 0.0 - gz)
+    if plain:
+        add3(row, w + MOMENT * n, n, gx, gy, gz)
+        add3(row, v + MOMENT * n, n, 0.0 - gx, 0.0 - gy, 0.0 - gz)
+    store(row, left, angle)
+    add(row, cost, 0.5 * (ww * (angle * angle)))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_rad * angle))
+
+
+@kernel
+def _center(terms, bodies, body_count, row, work, at, left, wrenches, n, plain, cost, miss, per_m):
+    """The centre of mass: every body's point counts by its mass."""
+    rx, ry, rz, weight = load4(row, at, n)
+    ax, ay, az = load3(row, at + 4 * n, n)
+    rx, ry, rz = 0.0 - rx, 0.0 - ry, 0.0 - rz
+    sx, sy, sz = weight * ax, weight * ay, weight * az
+    for k in range(body_count):
+        w, own, out = work + terms[bodies + k] * SLOTS * n, at + (7 + 4 * k) * n, wrenches + WRENCHES * k * n
+        bx, by, bz, mass = load4(row, own, n)
+        a, b, c, d = load4(row, w + TURN * n, n)
+        bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+        px, py, pz = load3(row, w + PLACE * n, n)
+        rx, ry, rz = rx + mass * (px + bx), ry + mass * (py + by), rz + mass * (pz + bz)
+        _point_wrenches(row, out, n, bx, by, bz, mass * sx, mass * sy, mass * sz)
+    fx, fy, fz = sx * sx * rx, sy * sy * ry, sz * sz * rz
+    for k in range(body_count):
+        w, own = work + terms[bodies + k] * SLOTS * n, at + (7 + 4 * k) * n
+        bx, by, bz, mass = load4(row, own, n)
+        a, b, c, d = load4(row, w + TURN * n, n)
+        bx, by, bz = quat_rotate(a, b, c, d, bx, by, bz)
+        _pull_at(row, w, n, bx, by, bz, mass * fx, mass * fy, mass * fz, plain)
+    rx, ry, rz = ax * rx, ay * ry, az * rz
+    squared = rx * rx + ry * ry + rz * rz
+    distance = sqrt(squared)
+    store(row, left, distance)
+    add(row, cost, 0.5 * (weight * weight * squared))
+    store(row, miss, maximum(load(row, miss), _counted(row, weight) * per_m * distance))
+
+
 @kernel
 def gather_tasks(
     joints, count, terms, term_count, row, q, shift, work, data, near, cost, miss, n, plain, per_m, per_rad
@@ -332,5 +475,20 @@ def gather_tasks(
         elif kind == PRIOR:
             up = joints[joint * JOINT_COLUMNS + J_PARENT]
             _prior(row, w, work + up * SLOTS * n if up >= 0 else -1, q + 4 * joint * n, at, left, n, near, cost)
-        else:
+        elif kind == ROOT_PRIOR:
             _root_prior(row, w, shift, at, left, n, plain, cost)
+    couples = term_count * TERM_COLUMNS
+    for c in range(terms[couples + C_COUNT]):
+        head = couples + C_TERMS + c * COUPLING_COLUMNS
+        t, bodies = terms[head + C_TERM], first_body(terms, couples, head)
+        wrenches = near + (EXTRA + WRENCHES * terms[head + C_FIRST]) * n
+        k, at, left = t * TERM_COLUMNS, data + terms[t * TERM_COLUMNS + T_AT] * n, data + (term_count + t) * n
+        kind, w, v = terms[k + T_KIND], work + terms[bodies] * SLOTS * n, work + terms[bodies + 1] * SLOTS * n
+        if kind == RELATIVE_PLACE:
+            _relative_place(row, w, v, at, left, wrenches, n, plain, cost, miss, per_m)
+        elif kind == RELATIVE_TURN:
+            _relative_turn(row, w, v, at, left, wrenches, n, near, plain, cost, miss, per_rad)
+        elif kind == CENTER:
+            _center(
+                terms, bodies, terms[head + C_BODY_COUNT], row, work, at, left, wrenches, n, plain, cost, miss, per_m
+            )
