@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from keypose.ik.fullbody import PoseSolver, prepare_solver, solve_pose
     from keypose.ik.fullbody_problem import RootMotion, RootPolicy
     from keypose.ik.fullbody_result import OUTCOMES, IkResult, SolveOptions, TaskResidual
+    from keypose.ik.fullbody_window import solve_window
 
 # The solver for whole bodies is loaded on first use: what only asks for limits or limbs does not wait for it.
 _SOLVER = {
@@ -47,6 +48,7 @@ _SOLVER = {
     "PoseSolver": "fullbody",
     "prepare_solver": "fullbody",
     "solve_pose": "fullbody",
+    "solve_window": "fullbody_window",
 }
 
 __all__ = [
@@ -91,6 +93,7 @@ __all__ = [
     "solve_limb",
     "solve_limbs",
     "solve_pose",
+    "solve_window",
 ]
 
 
