@@ -83,7 +83,7 @@ def test_trace_adds_up(session: g.Run) -> None:
             assert sum(weights.values()) == pytest.approx(1)
         assert trace.operations["Sample"] == len(trace.clips)
     names = session.motion.joint_names
-    waving = session.traces[455]
+    waving = session.traces[475]
     hand, foot = names.index("RightHand"), names.index("LeftFoot")
     assert waving.contributions["wave"][hand] > 0.95 and waving.contributions["wave"][foot] == 0
     assert waving.contributions["idle"][foot] == pytest.approx(1)

@@ -98,7 +98,7 @@ def locomotion() -> Graph:
             "speed": Parameter("float", 0.0, 0.0, RUN_M_S, half_life_s=0.1),
             "turn": Parameter("float", 0.0, -120.0, 120.0, half_life_s=0.1),
             "jump": Parameter("trigger"),
-            "wave": Parameter("float", 0.0, 0.0, 1.0, half_life_s=0.12),
+            "wave": Parameter("float", 0.0, 0.0, 1.0, half_life_s=0.22),
             "look": Parameter("float", 0.0, 0.0, 1.0, half_life_s=0.15),
             "look_at": Parameter("vector", (0.0, 1.5, 3.0), half_life_s=0.1),
         },
