@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import doctest
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,6 +37,7 @@ from keypose.model import (
     SkinningMethod,
 )
 from keypose.samples import load as load_sample
+from tests.cli import command
 from tests.conftest import ROOT, data_files
 
 pytest.importorskip("ufbx")
@@ -301,10 +300,10 @@ def test_several_takes_do_not_mix(tmp_path: Path) -> None:
                 np.testing.assert_allclose(found.curves[channel].values[[0, -1]], curve.values, atol=1e-6)
 
 
-def test_convert_there_and_back_prints_the_proof(tmp_path: Path) -> None:
+def test_convert_there_and_back_prints_the_proof(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     for source, target in (("sample:walk", "a.fbx"), ("a.fbx", "b.glb"), ("b.glb", "c.fbx")):
-        command = [sys.executable, "-m", "keypose", "convert", source, target]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+        done = command.keypose("convert", source, target)
         assert done.returncode == 0, done.stderr
         found = re.search(r"read back: .* positions within (\S+) mm", done.stdout)
         assert found is not None and float(found[1]) < 1e-3, done.stdout
