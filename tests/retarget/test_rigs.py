@@ -428,8 +428,9 @@ def test_a_prop_stays_in_the_hand(walk: Scene, clasped: Motion) -> None:
     loose = retarget(clasped, skeleton, other, plant=None, source_roles=roles, target_roles=roles)
     near, far = (np.linalg.norm(palms(other, d.motion.pose)["Right"][middle] - there) for d in (done, loose))
     assert near < 0.6 * far
-    with pytest.raises(ShapeError, match="place"):
-        retarget(clasped, skeleton, other, hands=HandOptions(props=[Prop(np.zeros((4, 3)))]))
+    for nowhere in (np.zeros((4, 3)), np.array([0.0, np.nan, 0.0])):
+        with pytest.raises(ShapeError, match="prop: expected finite places"):
+            retarget(clasped, skeleton, other, hands=HandOptions(props=[Prop(nowhere)]))
     with pytest.raises(ShapeError, match="reach"):
         HandOptions(reach=0.0)
 

@@ -33,6 +33,19 @@ _ENDS = {
 }
 
 
+# Bones along which a limb's roll is shared out: role of the bone, role of its end, whether the bone rolls in its own socket (an
+# upper arm, a thigh) or its end rolls beyond it (a hand beyond the forearm).
+ROLLING_BONES = (
+    ("upper_arm", "lower_arm", True),
+    ("lower_arm", "hand", False),
+    ("upper_leg", "lower_leg", True),
+    ("lower_leg", "foot", False),
+)
+TWIST_NAME = re.compile(r"twist|roll(?!ing)|ribbon", re.IGNORECASE)
+TWIST_ASIDE = 0.15
+"""A joint further from its bone than this share of the length does not roll with it."""
+
+
 def words_of(name: str) -> list[str]:
     """A joint's name as lower-case words, without a name space: ``mixamorig:LeftArm`` is left, arm."""
     return [word.lower() for word in _WORDS.findall(name.rpartition(":")[2])]

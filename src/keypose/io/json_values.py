@@ -96,6 +96,10 @@ class Json:
             return default
         return cast("str", self.need(key)._typed(str, "a text"))
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """An array of texts; empty where it is missing."""
+        return tuple(cast("str", each._typed(str, "a text")) for each in self.items(key))
+
     def flag(self, key: str) -> bool:
         """A true-or-false member, false where it is missing."""
         if key not in self.object():

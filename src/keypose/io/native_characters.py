@@ -61,7 +61,7 @@ def read_character(item: Json, fetch: Fetch) -> Character:
             skeleton,
             tuple(parts),
             item.text("name"),
-            _names(item, "morph_names"),
+            item.texts("morph_names"),
             fetch(item.need("rest_morph_weights")),
             roles,
             _extras(item, fetch),
@@ -120,7 +120,7 @@ def _skeleton_json(skeleton: Skeleton, store: Store) -> dict[str, Any]:
 
 
 def _read_skeleton(item: Json, fetch: Fetch) -> Skeleton:
-    names = _names(item, "names")
+    names = item.texts("names")
     ends: list[tuple[int, tuple[float, float, float]]] = []
     for each in item.items("end_offsets"):
         pair = Json({"end": each.value}, each.where).items("end")
@@ -235,7 +235,7 @@ def _morphs_json(morphs: MorphSet, store: Store) -> dict[str, Any]:
 def _read_morphs(item: Json, fetch: Fetch) -> MorphSet:
     starts, vertices, deltas = (fetch(item.need(name)) for name in ("starts", "vertices", "position_deltas"))
     normals = _maybe(item, "normal_deltas", fetch)
-    return built(item, lambda: MorphSet(_names(item, "names"), starts, vertices, deltas, normals))
+    return built(item, lambda: MorphSet(item.texts("names"), starts, vertices, deltas, normals))
 
 
 def _read_skin(item: Json, fetch: Fetch) -> Skin:
@@ -333,12 +333,3 @@ def _maybe(item: Json, key: str, fetch: Fetch) -> Any:
 def _number(item: Json, key: str, limit: int | None = None, what: str = "") -> int | None:
     member = item.get(key)
     return None if member is None or member.value is None else member.as_integer(0, limit, what)
-
-
-def _names(item: Json, key: str) -> tuple[str, ...]:
-    names: list[str] = []
-    for each in item.items(key):
-        if not isinstance(each.value, str):
-            each.fail("expected a text")
-        names.append(each.value)
-    return tuple(names)

@@ -227,7 +227,7 @@ def _read_attribute(item: Json) -> Attribute:
             item.need("default").as_number(),
             item.need("minimum").as_number(),
             item.need("maximum").as_number(),
-            _texts(item, "choices"),
+            item.texts("choices"),
             item.flag("angle"),
         ),
     )
@@ -241,15 +241,15 @@ def _read_module(item: Json) -> Module:
 
 
 _READERS: Mapping[str, Callable[[Json], Module]] = {
-    "follow": lambda i: FollowModule(i.text("name"), _texts(i, "joints"), _texts(i, "controls"), i.text("carrier")),
+    "follow": lambda i: FollowModule(i.text("name"), i.texts("joints"), i.texts("controls"), i.text("carrier")),
     "limb": lambda i: LimbModule(
         i.text("name"), _three(i, "joints"), _three(i, "controls"), i.text("goal"), i.text("pole"), _read_foot(i)
     ),
-    "spine": lambda i: SpineModule(i.text("name"), _texts(i, "joints"), _texts(i, "controls"), i.text("goal")),
+    "spine": lambda i: SpineModule(i.text("name"), i.texts("joints"), i.texts("controls"), i.text("goal")),
     "head": lambda i: HeadModule(
-        i.text("name"), _texts(i, "joints"), _texts(i, "controls"), i.text("target"), i.numbers("shares", None) or ()
+        i.text("name"), i.texts("joints"), i.texts("controls"), i.text("target"), i.numbers("shares", None) or ()
     ),
-    "eyes": lambda i: EyesModule(i.text("name"), _texts(i, "joints"), _texts(i, "controls")),
+    "eyes": lambda i: EyesModule(i.text("name"), i.texts("joints"), i.texts("controls")),
     "fingers": lambda i: FingersModule(
         i.text("name"), i.text("hand"), tuple(_read_finger(each) for each in i.items("fingers"))
     ),
@@ -262,8 +262,8 @@ def _read_finger(item: Json) -> Finger:
         item,
         lambda: Finger(
             item.text("name"),
-            _texts(item, "joints"),
-            _texts(item, "controls"),
+            item.texts("joints"),
+            item.texts("controls"),
             item.numbers("bends", None) or (),
             item.need("spread").as_number(),
         ),
@@ -305,7 +305,7 @@ def _read_constraint(item: Json) -> Constraint:
             item.text("name"),
             choice(item, "kind", ConstraintKind),
             item.text("owner"),
-            _texts(item, "targets"),
+            item.texts("targets"),
             item.numbers("shares", None) or (),
             item.need("weight").as_number(),
             item.text("weight_attribute"),
@@ -348,17 +348,8 @@ def _limits(item: Json, key: str, none: float) -> tuple[float, float, float]:
     return found[0], found[1], found[2]
 
 
-def _texts(item: Json, key: str) -> tuple[str, ...]:
-    texts: list[str] = []
-    for each in item.items(key):
-        if not isinstance(each.value, str):
-            each.fail("expected a text")
-        texts.append(each.value)
-    return tuple(texts)
-
-
 def _three(item: Json, key: str) -> tuple[str, str, str]:
-    texts = _texts(item, key)
+    texts = item.texts(key)
     if len(texts) != 3:
         item.need(key).fail(f"expected 3 names, got {len(texts)}")
     return texts[0], texts[1], texts[2]

@@ -223,15 +223,15 @@ def prop_places(prop: Prop, own: BodyFrames, places: Floats, other: BodyFrames, 
     What is the same prop scaled is as high over the ground that both walk on, whatever height their reference poses have.
 
     Raises:
-        ShapeError: where the prop has another number of frames.
+        ShapeError: where the prop has another number of frames, or is at no place.
     """
     frames = len(places)
     found: list[Floats] = []
     for place in (prop.source, prop.target):
         if place is not None:
             array = np.asarray(place, np.float64)
-            if array.shape not in ((3,), (frames, 3)):
-                raise ShapeError(f"prop: expected a place (3,) or ({frames}, 3), got {array.shape}")
+            if array.shape not in ((3,), (frames, 3)) or not np.isfinite(array).all():
+                raise ShapeError(f"prop: expected finite places (3,) or ({frames}, 3), got {array.shape}")
             found.append(np.broadcast_to(array, (frames, 3)))
     if len(found) == 1:
         ground = ankle_floor_m(own, places) - own.ankle_m

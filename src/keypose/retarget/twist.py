@@ -6,26 +6,13 @@ of the roll in one joint the skin is wrung like the wrapper of a sweet.
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
+from keypose.analysis.anatomy import ROLLING_BONES, TWIST_ASIDE, TWIST_NAME
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.math import quat
 from keypose.retarget.body import BodyFrames
-
-# (role of the bone, role of its end, whether the bone rolls in its own socket or its end rolls beyond it)
-_BONES = (
-    ("upper_arm", "lower_arm", True),
-    ("lower_arm", "hand", False),
-    ("upper_leg", "lower_leg", True),
-    ("lower_leg", "foot", False),
-)
-_TWIST = re.compile(r"twist|roll(?!ing)|ribbon", re.IGNORECASE)
-
-# A joint further from its bone than this share of the length does not roll with it.
-_ASIDE = 0.15
 
 
 def share_rolls(body: BodyFrames, model: Floats) -> dict[int, Floats]:
@@ -36,7 +23,7 @@ def share_rolls(body: BodyFrames, model: Floats) -> dict[int, Floats]:
     """
     found: dict[int, Floats] = {}
     for side in SIDES:
-        for bone, end, own in _BONES:
+        for bone, end, own in ROLLING_BONES:
             if f"{side}_{bone}" in body.roles and f"{side}_{end}" in body.roles:
                 a, b = body.roles[f"{side}_{bone}"], body.roles[f"{side}_{end}"]
                 pieces = _pieces(body, a, b)
@@ -89,7 +76,7 @@ def _shares(body: BodyFrames, a: int, b: int, own: bool, pieces: list[int]) -> d
         return u, float(np.linalg.norm(out - u * bone)) / length
 
     shares: dict[int, float] = {}
-    if len(pieces) > 1 and all(along(j)[1] < _ASIDE for j in pieces):
+    if len(pieces) > 1 and all(along(j)[1] < TWIST_ASIDE for j in pieces):
         starts = [float(np.clip(along(j)[0], 0.0, 1.0)) for j in pieces]
         for n, j in enumerate(pieces):
             if own:
@@ -99,10 +86,10 @@ def _shares(body: BodyFrames, a: int, b: int, own: bool, pieces: list[int]) -> d
     taken = set(body.roles.values())
     near = {a}
     for j, parent in enumerate(parents):
-        if int(parent) in near and j not in taken and j not in pieces and _TWIST.search(body.skeleton.names[j]):
+        if int(parent) in near and j not in taken and j not in pieces and TWIST_NAME.search(body.skeleton.names[j]):
             near.add(j)
             u, aside = along(j)
-            if aside < _ASIDE and -0.1 < u < 1.1:
+            if aside < TWIST_ASIDE and -0.1 < u < 1.1:
                 shares[j] = float(np.clip(u, 0.0, 1.0))
     return shares
 

@@ -5,10 +5,9 @@ Source: swing-twist decomposition, Dobrowolski (2015).
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
+from keypose.analysis.anatomy import ROLLING_BONES, TWIST_ASIDE, TWIST_NAME
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.model import Twist, TwistModule
@@ -16,18 +15,6 @@ from keypose.rig.body import Body, bone_of
 from keypose.rig.frames import frame, rotation, spin, to_quat
 from keypose.rig.plan import rest_frames
 from keypose.rig.state import State, blend
-
-# (role of the bone, role of its end, whether the bone rolls in its own socket or its end rolls beyond it)
-_BONES = (
-    ("upper_arm", "lower_arm", True),
-    ("lower_arm", "hand", False),
-    ("upper_leg", "lower_leg", True),
-    ("lower_leg", "foot", False),
-)
-_NAME = re.compile(r"twist|roll(?!ing)|ribbon", re.IGNORECASE)
-
-# A joint further from its bone than this share of the length does not roll with it.
-_ASIDE = 0.15
 
 # Of a rotation's matrix: what a motion's own twist may differ by.
 _SAME = 1e-4
@@ -43,7 +30,7 @@ def find_twists(body: Body) -> TwistModule | None:
     taken = set(body.roles.values())
     found: list[Twist] = []
     for side in SIDES:
-        for bone, end, own in _BONES:
+        for bone, end, own in ROLLING_BONES:
             a, b = body.roles[f"{side}_{bone}"], body.roles[f"{side}_{end}"]
             way = places[b] - places[a]
             length = float(np.linalg.norm(way))
@@ -52,12 +39,12 @@ def find_twists(body: Body) -> TwistModule | None:
             near = {a}
             for j, parent in enumerate(body.parents):
                 piece = body.hangs(b, j)
-                if parent not in near or j in taken or (piece and own) or not (piece or _NAME.search(names[j])):
+                if parent not in near or j in taken or (piece and own) or not (piece or TWIST_NAME.search(names[j])):
                     continue
                 near.add(j)
                 out = places[j] - places[a]
                 u = float(out @ way) / length**2
-                if np.linalg.norm(out - u * way) < _ASIDE * length and -0.1 < u < 1.1:
+                if np.linalg.norm(out - u * way) < TWIST_ASIDE * length and -0.1 < u < 1.1:
                     x, y, z = (float(v) for v in turned[a].T @ bone_of(way))
                     share = float(np.clip(u, 0.0, 1.0))
                     found.append(Twist(names[j], names[a], "" if own else names[b], share, (x, y, z)))

@@ -66,8 +66,8 @@ def parse(root: Json) -> Document:
     version = asset.need("version").value
     if not isinstance(version, str) or version.split(".")[0] != "2":
         raise FormatError(f"expected glTF version 2, got {str(version)[:20]!r}", where="asset.version")
-    used = _texts(root, "extensionsUsed")
-    required = _texts(root, "extensionsRequired")
+    used = root.texts("extensionsUsed")
+    required = root.texts("extensionsRequired")
     unknown = [n for n in required if n not in SUPPORTED and not n.startswith(SUPPORTED_PREFIXES)]
     if unknown:
         names = ", ".join(unknown)
@@ -181,13 +181,6 @@ def _plain_sparse(value: dict[str, Any], where: str, views: int) -> Sparse | Non
     if places[0] >= views or places[2] >= views:
         return None
     return Sparse(count, places[0], places[1], component, places[2], places[3], f"{where}.sparse")
-
-
-def _texts(item: Json, key: str) -> tuple[str, ...]:
-    for element in item.items(key):
-        if not isinstance(element.value, str):
-            element.fail("expected a text")
-    return tuple(element.value for element in item.items(key))
 
 
 def _extension(item: Json, *names: str) -> Json | None:
