@@ -12,7 +12,7 @@ import numpy as np
 
 from keypose.bench import data, plain
 from keypose.bench.suite import Suite
-from keypose.ik import PositionTask, SolveOptions, prepare_solver
+from keypose.ik import CenterOfMassTask, PositionTask, SolveOptions, Task, prepare_solver
 from keypose.math import quat
 from keypose.model import Pose, Skeleton
 
@@ -23,7 +23,7 @@ _BESIDE = 8  # of them also given to mink
 
 
 def add(suite: Suite, rng: np.random.Generator) -> None:
-    """Five effectors and 25 markers of 26 joints, from the rest pose; the root moves freely."""
+    """Five effectors, with their balance or without, and 25 markers of 26 joints, from the rest pose; the root moves freely."""
     parents, offsets = data.body(data.BODY_JOINTS)
     joints = len(parents)
     bent = np.asarray(quat.from_rotation_vector(rng.normal(0, 0.15, (joints, 3))))
@@ -34,28 +34,35 @@ def add(suite: Suite, rng: np.random.Generator) -> None:
     moved = np.tile(offsets, (_POSES, 1, 1))
     moved[:, 0] += rng.normal(0, 0.02, (_POSES, 3))
     many = plain.kinematics(parents, more, moved)[1]
-    for effectors in (np.setdiff1d(np.arange(joints), parents), np.arange(1, joints)):
-        _one(suite, parents, offsets, effectors, goals, many)
+    ends = np.setdiff1d(np.arange(joints), parents)
+    for effectors, balanced in ((ends, False), (np.arange(1, joints), False), (ends, True)):
+        _one(suite, parents, offsets, effectors, goals, many, balanced)
 
 
-def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, many: Any) -> None:
-    """The rows of one set of effectors."""
+def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, many: Any, balanced: bool) -> None:
+    """The rows of one set of effectors; balanced: with the centre of mass, as if all joints weighed the same."""
     joints, count = len(parents), len(effectors)
-    name = f"full-body IK, {joints} joints, {count} effectors"
+    name = f"full-body IK, {joints} joints, {count} effectors{' and balance' if balanced else ''}"
     rest = Pose(offsets, np.tile([1.0, 0, 0, 0], (joints, 1)), np.ones((joints, 3)))
     skeleton = Skeleton(tuple(f"joint{j}" for j in range(joints)), parents, rest)
-    at_rest = [PositionTask(int(e), np.zeros(3)) for e in effectors]
+    at_rest: list[Task] = [PositionTask(int(e), np.zeros(3)) for e in effectors]
+    at_rest += [CenterOfMassTask(np.zeros(3), np.ones(joints))] if balanced else []
     whole = SolveOptions(iterations=_STEPS, tolerance_m=1e-15, settled_rad=1e-15, still_m=1e-300)
     asked = SolveOptions(iterations=100, tolerance_m=_ASKED_M)
 
     def missed(result: Any, places: Any) -> float:
         turns, bones = (np.reshape(a, (-1, *a.shape[-2:])) for a in (result.pose.rotations, result.pose.translations))
         reached = plain.kinematics(parents, turns, bones)[1]
-        return float(np.linalg.norm((reached - places)[:, effectors], axis=-1).max())
+        return float(np.linalg.norm(asked_of(reached) - asked_of(places), axis=-1).max())
 
-    one, every = goal[0, effectors], [many[:, e].copy() for e in effectors]
+    def asked_of(places: Any) -> Any:
+        """Where the effectors are, and the centre of mass if it is asked for too."""
+        parts = [places[..., effectors, :], places.mean(axis=-2, keepdims=True)]
+        return np.concatenate(parts if balanced else parts[:1], axis=-2)
+
+    one, every = asked_of(goal[0]), list(np.ascontiguousarray(np.moveaxis(asked_of(many), 1, 0)))
     beside = min(_BESIDE, len(many))
-    full, near, said = _beside(parents, offsets, effectors, many[:beside])
+    full, near, said = _beside(parents, offsets, effectors, many[:beside], balanced)
     for words, options, peer, note, limit in (
         (f"at most {_STEPS} steps", whole, full, said[0], 1e-8), (f"to {_ASKED}", asked, near, said[1], 1.001 * _ASKED_M),
     ):  # fmt: skip
@@ -73,11 +80,11 @@ def _one(suite: Suite, parents: Any, offsets: Any, effectors: Any, goal: Any, ma
             )  # fmt: skip
 
 
-def _beside(parents: Any, offsets: Any, effectors: Any, many: Any) -> tuple[Any, Any, tuple[str, str]]:
+def _beside(parents: Any, offsets: Any, effectors: Any, many: Any, balanced: bool) -> tuple[Any, Any, tuple[str, str]]:
     """What mink does, all its steps and only those that the accuracy takes, and how far off that leaves it."""
     if not _installed("mink"):
         return None, None, ("mink not installed", "mink not installed")
-    peer = _Mink(parents, offsets, effectors)
+    peer = _Mink(parents, offsets, effectors, balanced)
     every, needed = [_STEPS] * len(many), [peer.steps_for(place, _ASKED_M) for place in many]
     off = [max(peer.solved(place, n) for place, n in zip(many, each, strict=True)) for each in (every, needed)]
 
@@ -92,7 +99,7 @@ def _beside(parents: Any, offsets: Any, effectors: Any, many: Any) -> tuple[Any,
 class _Mink:
     """The body as a MuJoCo model of ball joints, whose effectors mink brings to targets by Gauss-Newton steps."""
 
-    def __init__(self, parents: Any, offsets: Any, effectors: Any) -> None:
+    def __init__(self, parents: Any, offsets: Any, effectors: Any, balanced: bool) -> None:
         import mink  # pyright: ignore[reportMissingImports]
         import mujoco  # pyright: ignore[reportMissingImports]
 
@@ -104,23 +111,30 @@ class _Mink:
         self._tasks = {
             int(e): mink.FrameTask(f"j{e}", "body", position_cost=1.0, orientation_cost=0.0) for e in effectors
         }
+        self._balance = mink.ComTask(cost=1.0) if balanced else None
 
     def solve(self, goal: Any, steps: int) -> None:
         """So many steps from the rest pose towards places (J, 3)."""
         mink, configuration = self._mink, self._configuration
         with self._threads():
-            tasks = list(self._tasks.values())
+            tasks: list[Any] = list(self._tasks.values())
             for e, task in self._tasks.items():
                 task.set_target(mink.SE3.from_translation(goal[e]))
+            if self._balance is not None:
+                self._balance.set_target(goal.mean(axis=0))
+                tasks.append(self._balance)
             configuration.update(self._start)
             for _ in range(steps):
                 velocity = mink.solve_ik(configuration, tasks, 1.0, "daqp", damping=_DAMPING, limits=[])
                 configuration.integrate_inplace(velocity, 1.0)
 
     def missed(self, goal: Any) -> float:
-        """How far the worst effector is off now."""
-        frames = (self._configuration.get_transform_frame_to_world(f"j{e}", "body") for e in self._tasks)
-        return max(float(np.linalg.norm(f.translation() - goal[e])) for f, e in zip(frames, self._tasks, strict=True))
+        """How far the worst effector, or the centre of mass, is off now."""
+        frames = [self._configuration.get_transform_frame_to_world(f"j{e}", "body") for e in self._tasks]
+        off = [frame.translation() - goal[e] for frame, e in zip(frames, self._tasks, strict=True)]
+        if self._balance is not None:
+            off.append(self._balance.compute_error(self._configuration))
+        return max(float(np.linalg.norm(each)) for each in off)
 
     def solved(self, goal: Any, steps: int) -> float:
         """The same after so many steps."""
