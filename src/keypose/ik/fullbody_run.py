@@ -22,15 +22,20 @@ TYPICAL_STEPS = 20
 _AT_ONCE = 256  # solves that NumPy holds Jacobians of at a time
 
 
-def solve_problem(problem: Problem, options: SolveOptions) -> State:
-    """Solve all poses of a problem."""
-    state = _begin(problem, problem.start.copy(), np.zeros((len(problem.start), 3)), options)
-    _run(problem, state, options)
-    restart(problem, state, options)
+def solve_problem(problem: Problem, options: SolveOptions, times: int = 1) -> State:
+    """Solve all poses of a problem; ``times``: how many such problems there are, so that it pays to compile."""
+    state = begin(problem, options)
+    _run(problem, state, options, times)
+    restart(problem, state, options, times)
     return state
 
 
-def restart(problem: Problem, state: State, options: SolveOptions) -> None:
+def begin(problem: Problem, options: SolveOptions) -> State:
+    """Where solves start."""
+    return _begin(problem, problem.start.copy(), np.zeros((len(problem.start), 3)), options)
+
+
+def restart(problem: Problem, state: State, options: SolveOptions, times: int = 1) -> None:
     """Solves that have not reached begin again elsewhere, as often as asked; the best is kept, in place."""
     rng = np.random.default_rng(0)
     for _ in range(options.restarts):
@@ -44,7 +49,7 @@ def restart(problem: Problem, state: State, options: SolveOptions) -> None:
             turns[:, problem.upright, ::2] = 0.0
         away = quat.multiply(part.start, quat.from_rotation_vector(turns))
         other = _begin(part, away, state.shift[left].copy(), options)
-        _run(part, other, options)
+        _run(part, other, options, times)
         better = other.cost < state.cost[left]
         state.steps[left] += other.steps
         for name in ("rotations", "shift", "cost", "miss", "done"):
@@ -61,12 +66,12 @@ def _begin(problem: Problem, rotations: Floats, shift: Floats, options: SolveOpt
     )  # fmt: skip
 
 
-def _run(problem: Problem, state: State, options: SolveOptions) -> None:
+def _run(problem: Problem, state: State, options: SolveOptions, times: int) -> None:
     count = len(state.cost)
     if not count:
         return
     tolerances = options.tolerance_m, options.tolerance_rad, options.settled_rad, options.still_m
-    work = count * problem.skeleton.joint_count * min(options.iterations, TYPICAL_STEPS)
+    work = times * count * problem.skeleton.joint_count * min(options.iterations, TYPICAL_STEPS)
     if options.iterations and problem.terms and is_compiled(problem):
         kernels = kernels_for("fullbody", work, problem.start)
         if kernels is not None:
@@ -86,8 +91,7 @@ def _run(problem: Problem, state: State, options: SolveOptions) -> None:
 def solve_in_order(problem: Problem, batch: tuple[int, ...], options: SolveOptions) -> State:
     """Frame after frame, each with the one before as what to stay near."""
     frames, each = batch[0], len(problem.start) // max(batch[0], 1)
-    count = len(problem.start)
-    whole = _begin(problem, problem.start.copy(), np.zeros((count, 3)), options)
+    whole = begin(problem, options)
     before: State | None = None
     for frame in range(frames):
         rows = np.arange(frame * each, (frame + 1) * each)
@@ -102,7 +106,7 @@ def solve_in_order(problem: Problem, batch: tuple[int, ...], options: SolveOptio
                     above = rotation_above(problem.skeleton, part.start, int(problem.mover))
                     moved = quat.rotate(above, moved)
                 terms.append(replace(term, target=before.rotations, offset=before.shift + moved))
-        before = solve_problem(replace(part, terms=tuple(terms)), options)
+        before = solve_problem(replace(part, terms=tuple(terms)), options, times=frames)
         whole.put(rows, before)
     return whole
 

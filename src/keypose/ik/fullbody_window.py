@@ -19,7 +19,7 @@ from keypose.ik import fullbody_dense as dense
 from keypose.ik.fullbody_dense import State
 from keypose.ik.fullbody_problem import Problem, RootMotion, RootPolicy, Term, batch_of, make_problem
 from keypose.ik.fullbody_result import IkResult, SolveOptions, TaskResidual
-from keypose.ik.fullbody_run import result_of, solve_problem
+from keypose.ik.fullbody_run import begin, result_of, solve_problem
 from keypose.ik.limits import JointLimit
 from keypose.ik.tasks import CenterOfMassTask, Joint, PosePrior, RelativeTask, Smoothness, Task
 from keypose.math import quat
@@ -70,7 +70,7 @@ def solve_window(
     smooth = [term for term in whole.terms if term.kind is Smoothness and (term.by_joint.any() or term.root_weight)]
     bends = np.zeros((len(problem.start), skeleton.joint_count + 1))
     if smooth and len(bends):
-        state = _begun(problem)
+        state = begin(problem, chosen)
         for own in np.arange(len(bends)).reshape(batch[0], -1).T:
             window, some = Window.of(problem.take(own), smooth), state.take(own)
             bends[own] = window.solve(some, chosen, progress)
@@ -79,17 +79,6 @@ def solve_window(
         state = solve_problem(problem, chosen)
     found = result_of(problem, pose, batch, state)
     return replace(found, residuals=_residuals(whole, found, bends, batch))
-
-
-def _begun(problem: Problem) -> State:
-    """Where solves start, within limits."""
-    count = len(problem.start)
-    rotations, zeros = problem.start.copy(), np.zeros((6, count))
-    dense.hold(problem, rotations)
-    return State(
-        rotations, np.zeros((count, 3)), zeros[0], zeros[1], zeros[2], zeros[3], np.zeros(count, bool), zeros[4], zeros[5],
-        np.zeros(count, np.int64),
-    )  # fmt: skip
 
 
 def _residuals(whole: Problem, found: IkResult, bends: Floats, batch: tuple[int, ...]) -> tuple[TaskResidual, ...]:
