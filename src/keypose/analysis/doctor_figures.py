@@ -18,7 +18,7 @@ from keypose.analysis.anatomy import (
 )
 from keypose.analysis.findings import Finding, listed
 from keypose.arrays import Floats, Ints
-from keypose.evaluate import bake, key_rate, world_rotations_positions
+from keypose.evaluate import bake, frame_rate, world_rotations_positions
 from keypose.model import Character, Clip, Motion, Part, Pose, Skeleton
 
 _MOST_FRAMES = 20_000  # of a motion that is looked at; longer ones are looked at in even steps
@@ -81,7 +81,7 @@ def _frames(skeleton: Skeleton, motions: list[Clip | Motion]) -> tuple[Floats | 
     """Places (F, J, 3) of the joints along the first animation, in even steps where it is long, and its rate in Hz."""
     for motion in motions:
         if isinstance(motion, Clip):
-            rate = key_rate(motion) or 30.0
+            rate = frame_rate(motion)
             if motion.duration_s * rate > _MOST_FRAMES or not motion.curves:
                 continue
             motion = bake(motion, skeleton, rate)

@@ -24,7 +24,7 @@ from keypose.model import Character, Clip, Motion, Pose, Scene, Skeleton
 
 if TYPE_CHECKING:
     from keypose.analysis import RoleMap
-    from keypose.retarget import Prop, ReferenceReport, RetargetResult
+    from keypose.retarget import Prop
 
 SCHEMA = "keypose.retarget/1"
 
@@ -75,6 +75,7 @@ def retarget_file(
     """
     from keypose.editing.planting import PlantOptions
     from keypose.retarget import HandOptions, ground_under, retarget
+    from keypose.retarget.scenes import compare_with_scene, own_motion
 
     check_output(output, [motion, character, asked.against])
     held = HandOptions(props=[parse_prop(text) for text in asked.props]) if asked.hands or asked.props else None
@@ -97,7 +98,7 @@ def retarget_file(
             target_roles=target_map,
             source_reference=None if start is None else _reference(performed, start, motion),
             target_reference=stand,
-            target_motion=_own_motion(cast) if stand is None else None,
+            target_motion=own_motion(target, cast.animations) if stand is None else None,
             target_ground_m=ground_under(target, stand),
             rate_hz=rate_hz,
             scale=asked.scale,
@@ -112,7 +113,9 @@ def retarget_file(
         notes.append(_FAR_OFF_HINT)
     if quiet and not as_json:
         return
-    beside = None if theirs is None else _compared(result, target.skeleton, theirs)
+    beside = None
+    if theirs is not None:
+        beside = compare_with_scene(result, target.skeleton, theirs.character, theirs.animations[0])
     if as_json:
         against = None if beside is None else asdict(beside)
         print_json(
@@ -160,19 +163,6 @@ def _stand(cast: Scene, roles: RoleMap | None, asked: str | None, name: str) -> 
     return bound, () if bound is None else (said,)
 
 
-def _own_motion(cast: Scene) -> Motion | None:
-    """A motion of the target's own in frames, None where its file has none."""
-    from keypose.evaluate import to_motion
-
-    skeleton = cast.character.skeleton
-    for animation in cast.animations:
-        if isinstance(animation, Motion) and animation.joint_names == skeleton.names:
-            return animation
-        if isinstance(animation, Clip) and animation.duration_s > 0:
-            return to_motion(animation, skeleton)
-    return None
-
-
 def _reference(scene: Scene, asked: str, name: str) -> Pose:
     """The pose of a frame that stands: 'FRAME' of the scene, or 'FILE:FRAME' of another file of the same rig, or 'FILE:rest'."""
     from keypose.retarget import pose_of_other
@@ -205,25 +195,6 @@ def _frame(animation: Motion | Clip, character: Character, frame: int, name: str
         if 0 <= frame < count:
             return sample(animation, character.skeleton, animation.start_s + frame / rate)
     raise ShapeError(f"reference frame of {name}: expected 0 to {count - 1}, got {frame}")
-
-
-def _compared(result: RetargetResult, skeleton: Skeleton, theirs: Scene) -> ReferenceReport:
-    """What the result is beside somebody else's."""
-    from keypose.analysis import find_roles
-    from keypose.evaluate import to_motion
-    from keypose.retarget import compare_with_reference
-
-    body = theirs.character
-    found = find_roles(body.skeleton, known=body.roles or None)
-    return compare_with_reference(
-        result.motion,
-        skeleton,
-        result.target.roles,
-        to_motion(theirs.animations[0], body.skeleton),
-        body.skeleton,
-        found.roles,
-        result.touching,
-    )
 
 
 def _roles(path: Path | None, skeleton: Skeleton, known: Mapping[str, int]) -> RoleMap | None:

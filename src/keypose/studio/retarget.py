@@ -154,14 +154,15 @@ class Retargeting:
         self, asked: r.RetargetRequest, source: Scene, target: Scene, others: Mapping[str, Scene]
     ) -> r.RetargetDone:
         from keypose.editing.planting import PlantOptions
+        from keypose.evaluate import to_motion
         from keypose.retarget import HandOptions, ground_under, retarget
-        from keypose.retarget.scenes import frames_of, own_motion
+        from keypose.retarget.scenes import own_motion
         from keypose.studio.retarget_feet import found_feet
 
         own, other = _character(source, asked.source_character), _character(target, asked.target_character)
         began = time.perf_counter()
         animation = _animation(source, asked.animation)
-        motion = frames_of(animation, own.skeleton, asked.rate_hz)
+        motion = to_motion(animation, own.skeleton, asked.rate_hz)
 
         roles = _roles(own, asked.source_roles), _roles(other, asked.target_roles)
         source_reference = source_stand(own, animation, asked.source_reference, others)
