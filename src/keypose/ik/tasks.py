@@ -163,6 +163,8 @@ class PosePrior:
 class Smoothness:
     """Joints are to stay near the pose of the frame before; frames are the first axis of the batch and solved in order.
 
+    Who has all frames smooths them better together: to `solve_window` it says that speeds are to stay even, and nothing lags.
+
     Shapes and units: ``weight`` a number or (J,), metres per radian; ``root_weight`` for the path of the root, 1 = metres.
     """
 

@@ -30,7 +30,7 @@ _MOST_MODELS = 32
 _LARGEST_MODEL = 1 << 27  # of those that are looked through
 _UNEVEN = 0.1  # of a step: what rounding of times may be off by
 _DEFAULT_RATE_HZ = 60.0
-_FACING = "bodies of OpenSim face +X, and are left as they are"
+_FACING = "axes: taken as OpenSim has them, Y up and bodies that face +X"
 
 
 def read_model(path: Path) -> Scene:

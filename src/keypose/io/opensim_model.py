@@ -198,11 +198,9 @@ class _Parser:
         for n, body in enumerate(order):
             masses[n] = max(_number(self.bodies[body], "mass", 0.0), 0.0)
             centers[n] = _inside(joints[n].in_child, _vector(self.bodies[body], "mass_center"))
-        for name in ("ConstraintSet",):
-            if _objects(self.root, name):
-                self.notes.append(
-                    f"{len(_objects(self.root, name))} constraints between coordinates or bodies are not applied"
-                )
+        constraints = len(_objects(self.root, "ConstraintSet"))
+        if constraints:
+            self.notes.append(f"{constraints} constraints between coordinates or bodies are not applied")
         name = self.root.get("name").strip()
         markers = self.markers(at, joints)
         return Model(name, tuple(joints), self.coordinates, markers, masses, centers, tuple(self.notes))
