@@ -27,7 +27,6 @@ from keypose.kernels.fullbodytables import (
     J_KIND,
     J_PARENT,
     JOINT_COLUMNS,
-    MOTION,
     PLACE,
     SLOTS,
     TERM_COLUMNS,
@@ -40,7 +39,7 @@ from keypose.kernels.runtime import inlined, kernel
 from keypose.kernels.vectors import absolute, fill, load, store
 
 _ROWS = 3  # of each term
-_OF_JOINT = 15  # slots: inverse 6, what is pulled at it 6, what it answers 3
+_OF_ROW = 9  # slots of a row for each joint: the force and moment that are pulled with, and what the joint answers
 
 
 @inlined
@@ -50,15 +49,14 @@ def room_of_coupled(terms, term_count, count):
     rows = _ROWS * terms[couples + C_COUNT]
     if rows == 0:
         return 0
-    return WRENCHES * terms[couples + C_BODIES] + rows * rows + 2 * rows + _OF_JOINT * count + 9
+    return WRENCHES * terms[couples + C_BODIES] + 6 * count + 6 + rows * (rows + 2 + _OF_ROW * count + 6)
 
 
 @inlined
 def inverses_of(terms, term_count, room, n):
     """Where the elimination leaves the inverses of joints (six slots each) and of the root; -1 if nobody asks for them."""
     couples = term_count * TERM_COLUMNS
-    rows = _ROWS * terms[couples + C_COUNT]
-    return room + (WRENCHES * terms[couples + C_BODIES] + rows * rows + 2 * rows) * n if rows else -1
+    return room + WRENCHES * terms[couples + C_BODIES] * n if terms[couples + C_COUNT] else -1
 
 
 @kernel
@@ -66,98 +64,97 @@ def follow_coupled(joints, count, mover, terms, term_count, row, work, room, inv
     """What the terms that couple bodies change of the answers of all joints, of the root's motion and of the promise."""
     couples = term_count * TERM_COLUMNS
     rows = _ROWS * terms[couples + C_COUNT]
-    matrix = room + WRENCHES * terms[couples + C_BODIES] * n
+    matrix = inverses + (6 * count + 6) * n
     found = matrix + rows * rows * n  # what the tree's own step changes of the rows, and how much they pull
-    pulls, pulled = found + rows * n, inverses + (6 * count + 6) * n
-    answers = pulled + 6 * count * n
-    shift = answers + 3 * count * n
-    _move_bodies(joints, count, mover, row, work, work + BY_PULL * n, SLOTS, move, n)
-    _project(terms, couples, row, work, room, found, 1, n)
+    pulls = found + rows * n
+    pulled = pulls + rows * n
+    shifts = pulled + rows * count * _OF_ROW * n
+    _pull_bodies(terms, couples, row, room, pulled, count, n)
     for k in range(rows):
-        _clear(row, pulled, 6 * count, n)
-        for other in range(rows):
-            store(row, pulls + other * n, fill(row, 1.0 if other == k else 0.0))
-        _pull_bodies(terms, couples, row, room, pulls, pulled, n)
-        _answer(joints, count, mover, row, work, inverses, pulled, answers, shift, n)
-        _move_bodies(joints, count, mover, row, work, answers, 3, shift, n)
-        _project(terms, couples, row, work, room, matrix + k * n, rows, n)
+        _answer(joints, count, mover, row, work, inverses, pulled + k * count * _OF_ROW * n, shifts + 6 * k * n, n)
+    # A step is what joints do of themselves, which moves the rows by what these pull at the joints: nothing has to be moved.
+    for k in range(rows):
+        pull = pulled + k * count * _OF_ROW * n
+        total = fill(row, 0.0)
+        for j in range(count):
+            if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
+                total = total - _product(row, pull + (j * _OF_ROW + 3) * n, work + (j * SLOTS + BY_PULL) * n, n)
+        if mover >= 0:
+            total = total + _product(row, shifts + 6 * k * n, move, n)
+        store(row, found + k * n, total)
+        for other in range(k + 1):
+            answer = pulled + other * count * _OF_ROW * n
+            total = fill(row, 0.0)
+            for j in range(count):
+                if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
+                    total = total + _product(row, pull + (j * _OF_ROW + 3) * n, answer + (j * _OF_ROW + 6) * n, n)
+            if mover >= 0:
+                total = total + _product(row, shifts + 6 * k * n, shifts + (6 * other + 3) * n, n)
+            store(row, matrix + (k * rows + other) * n, total)
     # With the rows all is positive definite just where they have as many negative eigenvalues as the tree.
     below = sound + n
     tree = load(row, below)
     store(row, below, fill(row, 0.0))
     _solve(row, matrix, found, pulls, rows, n, below)
     store(row, sound, 0.5 - absolute(tree - load(row, below)))
-    _clear(row, pulled, 6 * count, n)
-    _pull_bodies(terms, couples, row, room, pulls, pulled, n)
-    _answer(joints, count, mover, row, work, inverses, pulled, answers, shift, n)
-    for j in range(count):
-        w, out = work + j * SLOTS * n, pulled + 6 * j * n
-        x, y, z = load3(row, out, n)
-        add3(row, w + FORCE * n, n, x, y, z)
-        x, y, z = load3(row, out + 3 * n, n)
-        add3(row, w + TORQUE * n, n, x, y, z)
-        if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
-            x, y, z = load3(row, answers + 3 * j * n, n)
-            add3(row, w + BY_PULL * n, n, x, y, z)
-    if mover >= 0:
-        x, y, z = load3(row, shift, n)
-        add3(row, move, n, x, y, z)
-    if not forced:
-        for k in range(rows):
-            add(row, gain, 0.0 - 0.5 * load(row, found + k * n) * load(row, pulls + k * n))
+    for k in range(rows):
+        size = load(row, pulls + k * n)
+        for j in range(count):
+            w, out = work + j * SLOTS * n, pulled + (k * count + j) * _OF_ROW * n
+            _add_scaled(row, w + FORCE * n, out, size, n)
+            _add_scaled(row, w + TORQUE * n, out + 3 * n, size, n)
+            if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
+                _add_scaled(row, w + BY_PULL * n, out + 6 * n, size, n)
+        if mover >= 0:
+            _add_scaled(row, move, shifts + (6 * k + 3) * n, 0.0 - size, n)
+        if not forced:
+            add(row, gain, 0.0 - 0.5 * load(row, found + k * n) * size)
 
 
 @inlined
-def _clear(row, at, slots, n):
+def _product(row, a, b, n):
+    x, y, z = load3(row, a, n)
+    u, v, w = load3(row, b, n)
+    return x * u + y * v + z * w
+
+
+@inlined
+def _add_scaled(row, out, at, size, n):
+    x, y, z = load3(row, at, n)
+    add3(row, out, n, size * x, size * y, size * z)
+
+
+@kernel
+def _pull_bodies(terms, couples, row, room, pulled, count, n):
+    """What each row pulls at each body."""
     zero = fill(row, 0.0)
-    for k in range(slots):
-        store(row, at + k * n, zero)
-
-
-@kernel
-def _pull_bodies(terms, couples, row, room, pulls, pulled, n):
-    """All rows pull at their bodies, each as much as said."""
-    for c in range(terms[couples + C_COUNT]):
-        head = couples + C_TERMS + c * COUPLING_COLUMNS
-        bodies = first_body(terms, couples, head)
-        for b in range(terms[head + C_BODY_COUNT]):
-            at, out = room + WRENCHES * (terms[head + C_FIRST] + b) * n, pulled + 6 * terms[bodies + b] * n
-            for k in range(_ROWS):
-                size = load(row, pulls + (_ROWS * c + k) * n)
-                for m in range(6):
-                    add(row, out + m * n, size * load(row, at + (6 * k + m) * n))
-
-
-@kernel
-def _project(terms, couples, row, work, room, out, stride, n):
-    """How much the motion of all bodies changes each row."""
     for c in range(terms[couples + C_COUNT]):
         head = couples + C_TERMS + c * COUPLING_COLUMNS
         bodies = first_body(terms, couples, head)
         for k in range(_ROWS):
-            total = fill(row, 0.0)
+            out = pulled + (_ROWS * c + k) * count * _OF_ROW * n
+            for j in range(count):
+                for m in range(6):
+                    store(row, out + (j * _OF_ROW + m) * n, zero)
             for b in range(terms[head + C_BODY_COUNT]):
                 at = room + (WRENCHES * (terms[head + C_FIRST] + b) + 6 * k) * n
-                motion = work + (terms[bodies + b] * SLOTS + MOTION) * n
-                for m in range(3):
-                    total = total + load(row, at + m * n) * load(row, motion + (3 + m) * n)
-                    total = total + load(row, at + (3 + m) * n) * load(row, motion + m * n)
-            store(row, out + (_ROWS * c + k) * stride * n, total)
+                for m in range(6):
+                    add(row, out + (terms[bodies + b] * _OF_ROW + m) * n, load(row, at + m * n))
 
 
 @kernel
-def _answer(joints, count, mover, row, work, inverses, pulled, answers, shift, n):
+def _answer(joints, count, mover, row, work, inverses, pulled, shift, n):
     """From the leaves to the root: what joints and root answer to what is pulled at bodies, and pass on."""
     for back in range(count):
         j = count - 1 - back
-        w, p = work + j * SLOTS * n, joints[j * JOINT_COLUMNS + J_PARENT]
-        hx, hy, hz = load3(row, pulled + 6 * j * n, n)
-        gx, gy, gz = load3(row, pulled + (6 * j + 3) * n, n)
+        w, p, own = work + j * SLOTS * n, joints[j * JOINT_COLUMNS + J_PARENT], pulled + j * _OF_ROW * n
+        hx, hy, hz = load3(row, own, n)
+        gx, gy, gz = load3(row, own + 3 * n, n)
         if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
             xx, xy, xz = load3(row, inverses + 6 * j * n, n)
             yy, yz, zz = load3(row, inverses + (6 * j + 3) * n, n)
             x, y, z = xx * gx + xy * gy + xz * gz, xy * gx + yy * gy + yz * gz, xz * gx + yz * gy + zz * gz
-            store3(row, answers + 3 * j * n, n, x, y, z)
+            store3(row, own + 6 * n, n, x, y, z)
             d0, d1, d2 = load3(row, w + BY_MOVE * n, n)
             d3, d4, d5 = load3(row, w + (BY_MOVE + 3) * n, n)
             d6, d7, d8 = load3(row, w + (BY_MOVE + 6) * n, n)
@@ -173,56 +170,22 @@ def _answer(joints, count, mover, row, work, inverses, pulled, answers, shift, n
             xx, xy, xz = load3(row, inverses + 6 * count * n, n)
             yy, yz, zz = load3(row, inverses + (6 * count + 3) * n, n)
             x, y, z = xx * hx + xy * hy + xz * hz, xy * hx + yy * hy + yz * hz, xz * hx + yz * hy + zz * hz
-            store3(row, shift, n, 0.0 - x, 0.0 - y, 0.0 - z)
+            store3(row, shift, n, hx, hy, hz)
+            store3(row, shift + 3 * n, n, x, y, z)
         if p >= 0:
             px, py, pz = load3(row, w + PLACE * n, n)
             ux, uy, uz = load3(row, work + (p * SLOTS + PLACE) * n, n)
             x, y, z = cross(px - ux, py - uy, pz - uz, hx, hy, hz)
-            add3(row, pulled + 6 * p * n, n, hx, hy, hz)
-            add3(row, pulled + (6 * p + 3) * n, n, gx + x, gy + y, gz + z)
-
-
-@kernel
-def _move_bodies(joints, count, mover, row, work, answers, stride, shift, n):
-    """From the root to the leaves: the motion of all bodies by what joints and root answer."""
-    zero = fill(row, 0.0)
-    for j in range(count):
-        w, p = work + j * SLOTS * n, joints[j * JOINT_COLUMNS + J_PARENT]
-        ox, oy, oz = zero, zero, zero
-        vx, vy, vz = zero, zero, zero
-        if p >= 0:
-            up = work + p * SLOTS * n
-            px, py, pz = load3(row, w + PLACE * n, n)
-            ux, uy, uz = load3(row, up + PLACE * n, n)
-            ox, oy, oz = load3(row, up + MOTION * n, n)
-            vx, vy, vz = load3(row, up + (MOTION + 3) * n, n)
-            x, y, z = cross(ox, oy, oz, px - ux, py - uy, pz - uz)
-            vx, vy, vz = vx + x, vy + y, vz + z
-        if j == mover:
-            x, y, z = load3(row, shift, n)
-            vx, vy, vz = vx + x, vy + y, vz + z
-        if joints[j * JOINT_COLUMNS + J_KIND] != FIXED:
-            a0, a1, a2 = load3(row, w + BY_TURN * n, n)
-            a3, a4, a5 = load3(row, w + (BY_TURN + 3) * n, n)
-            a6, a7, a8 = load3(row, w + (BY_TURN + 6) * n, n)
-            d0, d1, d2 = load3(row, w + BY_MOVE * n, n)
-            d3, d4, d5 = load3(row, w + (BY_MOVE + 3) * n, n)
-            d6, d7, d8 = load3(row, w + (BY_MOVE + 6) * n, n)
-            x, y, z = load3(row, answers + j * stride * n, n)
-            x = x + a0 * ox + a1 * oy + a2 * oz + d0 * vx + d1 * vy + d2 * vz
-            y = y + a3 * ox + a4 * oy + a5 * oz + d3 * vx + d4 * vy + d5 * vz
-            z = z + a6 * ox + a7 * oy + a8 * oz + d6 * vx + d7 * vy + d8 * vz
-            ox, oy, oz = ox - x, oy - y, oz - z
-        store3(row, w + MOTION * n, n, ox, oy, oz)
-        store3(row, w + (MOTION + 3) * n, n, vx, vy, vz)
+            add3(row, pulled + p * _OF_ROW * n, n, hx, hy, hz)
+            add3(row, pulled + (p * _OF_ROW + 3) * n, n, gx + x, gy + y, gz + z)
 
 
 @kernel
 def _solve(row, matrix, found, out, rows, n, below):
-    """(I - matrix) out = found by its factors L D L^T, which take the matrix's place; how many D are negative is added up."""
+    """(I + matrix) out = found by its factors L D L^T, which take the matrix's place; how many D are negative is added up."""
     for i in range(rows):
         for k in range(i + 1):
-            total = fill(row, 1.0 if i == k else 0.0) - load(row, matrix + (i * rows + k) * n)
+            total = fill(row, 1.0 if i == k else 0.0) + load(row, matrix + (i * rows + k) * n)
             for m in range(k):  # above the diagonal stands what is below it times D
                 total = total - load(row, matrix + (i * rows + m) * n) * load(row, matrix + (m * rows + k) * n)
             if i == k:
