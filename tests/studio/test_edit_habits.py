@@ -65,7 +65,7 @@ def test_operators_keep_to_the_selected_time(ui: EditUi) -> None:
     select_time(ui, 25.2, 34.7)
     assert np.multiply(ui.state()["span"], ui.page.evaluate("keypose.editor.rate")) == pytest.approx([25, 35])
     assert ui.test_id("parameter-first_frame").count() == 0  # it is said already
-    assert "frames 25 to 35" in " ".join(ui.test_id("operator-scope").inner_text().split())
+    assert ") in frames 25 to 35" in " ".join(ui.test_id("operator-scope").inner_text().split())
     ui.test_id("parameter-joint").select_option("LeftHand")
     ui.type("parameter-ease_s", 0.3)
     before = hand(ui, range(0, 61, 5))

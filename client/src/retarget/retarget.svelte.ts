@@ -477,7 +477,7 @@ export class Retarget extends Player {
   nameJoints(): void {
     this.panel = true;
     this.tab = "roles";
-    this.pick(SIDES.find((side) => this.missing(side).length > 0 || this.found(side)?.all_fours) ?? this.side);
+    this.pick(SIDES.find((side) => this.missing(side).length > 0) ?? this.side);
   }
 
   /** Bring the stages in line with whether roles are chosen, and whose. */
@@ -537,12 +537,6 @@ export class Retarget extends Player {
   mirror(from: "left" | "right"): void {
     const rig = this.actor(this.side)?.rig;
     if (rig) this.setMap(this.side, mirrored(this.table(this.side), from, rig), `Roles mirrored from the ${from}`);
-  }
-
-  /** The roles as they were found, though they are not those of a person: so they count as set by hand. */
-  useFound(side: SideName): void {
-    const found = this.found(side);
-    if (found) this.setMap(side, found.roles, "Roles as they were found");
   }
 
   resetRoles(): void {

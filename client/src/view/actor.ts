@@ -125,6 +125,13 @@ export class Actor {
     return new Set(this.sources.flatMap(({ skin, data }) => (skin ? [...skin.palette] : [data.joint ?? 0])));
   }
 
+  /** Joints alone beside the skeleton that nothing is skinned to: the nodes of skinned meshes, in many files. */
+  private idleJoints(): ReadonlySet<number> {
+    const { parents, children, jointCount } = this.rig, used = new Set(this.visibleJoints());
+    const alone = (joint: number) => parents[joint] < 0 && children[joint].length === 0 && !used.has(joint);
+    return new Set(jointCount > 1 ? [...Array(jointCount).keys()].filter(alone) : []);
+  }
+
   /** A point of the character's own space as it stands on the stage. */
   toStage(point: THREE.Vector3): THREE.Vector3 {
     return point.multiplyScalar(this.scale).add(this.root.position);
@@ -207,7 +214,7 @@ export class Actor {
 
   showBones(shown: boolean): void {
     if (shown && !this.bones && this.hasMesh) {
-      this.bones = new Bones(this.rig, "overlay", this.height);
+      this.bones = new Bones(this.rig, "overlay", this.height, this.idleJoints());
       this.overlay.add(this.bones.group);
       this.bones.write(this.rig.world);
     } else if (!shown && this.bones) {

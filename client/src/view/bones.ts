@@ -56,6 +56,8 @@ export class Bones {
     private readonly rig: Rig,
     style: BoneStyle,
     height: number,
+    /** Joints that are no part of the skeleton: nodes of a file that move nothing. */
+    private readonly idle: ReadonlySet<number> = new Set(),
   ) {
     this.bones = bonesOf(rig);
     this.size = height;
@@ -131,7 +133,7 @@ export class Bones {
     for (let joint = 0; joint < this.rig.jointCount; joint++) {
       const parent = this.rig.parents[joint];
       // as thick as what it holds; a leaf as thin as the bone that reaches it
-      const radius = Math.max(thin, 0.75 * (reach[joint] || 0.7 * (parent >= 0 ? reach[parent] : thick)));
+      const radius = this.idle.has(joint) ? 0 : Math.max(thin, 0.75 * (reach[joint] || 0.7 * (parent >= 0 ? reach[parent] : thick)));
       const o = 16 * joint, a = 12 * joint;
       balls[o] = balls[o + 5] = balls[o + 10] = radius;
       balls[o + 12] = world[a + 9]; balls[o + 13] = world[a + 10]; balls[o + 14] = world[a + 11];
