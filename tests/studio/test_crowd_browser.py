@@ -14,6 +14,7 @@ from play_graphs import opened_arm
 from studio_page import StudioPage
 from studio_scenes import Start
 
+from keypose.studio.crowd_show import CrowdShow, View
 from keypose.studio.graphs import built_in
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -37,7 +38,10 @@ def shown(page: StudioPage) -> StudioPage:
 @pytest.fixture(scope="module")
 def shared(chromium: Any, start: Start) -> Iterator[StudioPage]:
     """One page with a hundred characters; small, because a software renderer draws its picture."""
-    server = start(graphs=[built_in("locomotion"), opened_arm()])
+    graph = built_in("locomotion")
+    # kernels that must be compiled first are, before a page waits for them
+    CrowdShow(graph.stage(), "locomotion", COUNT, "wander", 1).step(1 / 30, View((0.0, 2.0, 3.0)))
+    server = start(graphs=[graph, opened_arm()])
     context = chromium.new_context(viewport={"width": 760, "height": 460}, color_scheme="dark")
     context.set_default_timeout(60_000)
     page = StudioPage(context.new_page())
