@@ -39,6 +39,10 @@ def test_versions_two_and_four_say_the_same(tmp_path: Path) -> None:
     for part in ("translations", "rotations"):
         assert np.array_equal(getattr(a.skeleton.rest, part), getattr(b.skeleton.rest, part))
     assert a.extras["opensim"] == b.extras["opensim"]
+    assert a.skeleton.end_offsets == b.skeleton.end_offsets
+    ends = dict(a.skeleton.end_offsets)
+    assert set(ends) == {a.skeleton.index("foot"), a.skeleton.index("torso")}
+    assert np.allclose(ends[a.skeleton.index("torso")], [0.0, -0.2, 0.0])
     assert old.format == new.format == "osim"
 
 

@@ -92,9 +92,11 @@ class Model:
     notes: tuple[str, ...]
 
     def skeleton(self) -> Skeleton:
-        """One joint for each body, at rest where all coordinates start."""
+        """One joint for each body, at rest where all coordinates start; the last ones end twice as far as their masses' centres."""
         parents = np.array([joint.parent for joint in self.joints], np.int32)
-        return Skeleton(tuple(joint.body for joint in self.joints), parents, self.pose({}, 1)[0])
+        leaves = sorted(set(range(len(parents))) - set(parents.tolist()))
+        ends = tuple((leaf, _three(2.0 * self.centers[leaf])) for leaf in leaves if self.centers[leaf].any())
+        return Skeleton(tuple(joint.body for joint in self.joints), parents, self.pose({}, 1)[0], ends)
 
     def pose(self, values: Mapping[str, Floats], frames: int) -> Pose:
         """The pose (T,) where coordinates have values (T,), radians and metres; what is not given stays as it starts."""
@@ -337,6 +339,10 @@ class _Parser:
         if elsewhere:
             self.notes.append(f"{elsewhere} markers without a name of their own or on no body were dropped")
         return found
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _same(values: Floats) -> Floats:
