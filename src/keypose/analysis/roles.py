@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from keypose.analysis.anatomy import Side, side_of, words_of
+from keypose.analysis.anatomy import Side, side_of
 from keypose.analysis.quadruped import Tree, find_quadruped, find_tail
+from keypose.analysis.role_words import FINGER_WORDS, part_of, text_of
 from keypose.arrays import Floats, Ints
 from keypose.errors import ShapeError, UnknownName
 from keypose.evaluate import world_rotations_positions
@@ -46,41 +47,9 @@ REQUIRED: tuple[str, ...] = (
 )  # fmt: skip
 """What a humanoid has at least, as in VRM."""
 
-# What a joint's text (letters only, no side, no name space) says it is; the first that fits wins.
-_PARTS = (
-    ("helper", r"twist|share|nub|end$|helper|ctrl|control|pole|target|slot|socket|footsteps|camera|roll|dummy|null|orient|ik$|attach|prop|effector"),
-    ("toes", r"toe|ball|metatarsal"),
-    ("fingers", r"thumb|index|middle|mid\d|ring|pinky|pinkie|little|finger|metacarpal|palm"),
-    ("foot", r"foot|ankle|heel"),
-    ("hand", r"hand|wrist"),
-    ("lower_leg", r"lowerleg|loleg|calf|shin|tibia|knee|crus"),
-    ("upper_leg", r"upleg|upperleg|thigh|femur"),
-    ("leg", r"leg"),
-    ("lower_arm", r"lowerarm|loarm|forearm|radius|ulna|elbow"),
-    ("upper_arm", r"uparm|upperarm|humerus|bicep|shldr"),
-    ("collar", r"clavicle|collar|scapula"),
-    ("shoulder", r"shoulder"),
-    ("arm", r"arm"),
-    ("jaw", r"jaw|chin"),
-    ("eye", r"^eye(?!brow|lid|lash)|eyeball|eye$"),
-    ("head", r"head|skull"),
-    ("neck", r"neck"),
-    ("hips", r"hips|pelvis|cog"),
-    ("", r"hipjoint"),  # of CMU's skeletons: beside the hips, above the thigh
-    ("hip", r"hip"),
-    ("spine", r"spine|back|chest|thorax|torso|abdomen|waist|ribcage|body"),
-)  # fmt: skip
-_PATTERNS = tuple((part, re.compile(pattern)) for part, pattern in _PARTS)
-_PREFIX = re.compile(
-    r"^(?:mixamorig\d*|ccbase|rlbone|bip\d*|biped\d*|valve|def|org|mch|jbip|bone|b|jnt|joint)(?=[a-z])"
-)
 _FACE = re.compile(r"^(?:ear|jaw|chin|eye|brow|nose|snout|muzzle|mouth|lip|tongue|teeth|tooth|horn|antler|mane)")
 # Further chains of a map made by hand: 'tail:1', 'left_ear:2'.
 _FURTHER = re.compile(r"[a-z][a-z0-9_]*:[0-9]+")
-_FINGER_WORDS = {
-    "thumb": r"thumb", "index": r"index|fore(?!arm)", "middle": r"middle|mid",
-    "ring": r"ring(?!pinky)", "little": r"pinky|pinkie|little|small",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,12 +164,12 @@ class _Finder:
             if parent >= 0:
                 self.children[parent].append(joint)
         self.sides: list[Side] = [side_of(name) for name in self.names]
-        self.texts = [_text(name) for name in self.names]
+        self.texts = [text_of(name) for name in self.names]
         for joint, name in enumerate(self.names):  # '__UpLeg_L' only leads from the hips to 'UpLeg_L'
             same = [c for c in self.children[joint] if self.texts[c] == self.texts[joint] != ""]
             if name.startswith("__") and any(self.sides[c] == self.sides[joint] for c in same):
                 self.texts[joint] = ""
-        self.parts = [_part(text, side) for text, side in zip(self.texts, self.sides, strict=True)]
+        self.parts = [part_of(text, side) for text, side in zip(self.texts, self.sides, strict=True)]
         self.size = max(float(np.ptp(self.places[:, 1])), 1e-9)
         self.roles: dict[str, int] = {}
         self.sure: dict[str, float] = {}
@@ -544,7 +513,7 @@ class _Finder:
         numbers = {j: self.finger_number(j) for j in (*self.below(hand)[1:], *beside)}
         first = 0 if 0 in numbers.values() else 1
         for n, finger in enumerate(FINGERS):
-            pattern = re.compile(_FINGER_WORDS[finger])
+            pattern = re.compile(FINGER_WORDS[finger])
             joints = [
                 j
                 for j in numbers
@@ -586,27 +555,3 @@ class _Finder:
                 self.put("jaw", joint, 1.0)
             if self.parts[joint] == "eye" and self.sides[joint] and f"{self.sides[joint]}_eye" not in self.roles:
                 self.put(f"{self.sides[joint]}_eye", joint, 1.0)
-
-
-def _text(name: str) -> str:
-    """A joint's name as letters and digits without name space, known prefixes and its side."""
-    words = words_of(name.replace("|", ":"))
-    text = "".join(w for w in words if w not in ("left", "right", "l", "r"))
-    for _ in range(2):
-        text = _PREFIX.sub("", text)
-    if text.startswith(("left", "right")):
-        text = text.removeprefix("left").removeprefix("right")
-    elif side_of(name) and text[:1] in "lr" and "".join(words) == text:
-        text = text[1:]
-    return text
-
-
-def _part(text: str, side: Side) -> str:
-    for part, pattern in _PATTERNS:
-        if pattern.search(text):
-            if part == "eye" and not side:
-                return ""
-            if part == "hip" and not side:
-                return "hips"
-            return part
-    return ""
