@@ -12,7 +12,11 @@ from keypose.errors import FormatError
 def bake_graph(
     reference: str, output: Path, *, inputs: Path | None, duration_s: float, rate_hz: float, quiet: bool
 ) -> None:
-    """Run a graph from its first state and write its motion on its character."""
+    """Run a graph from its first state and write its motion on its character.
+
+    Raises:
+        FormatError: where the graph or its inputs cannot be read, or the output's format cannot be written.
+    """
     from keypose.play import graph as g
     from keypose.samples import PREFIX, graphs, open_scene
 

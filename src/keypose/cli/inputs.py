@@ -43,7 +43,11 @@ def open_inputs(references: list[str], reading: Reading = AS_THEY_SAY) -> list[S
 
 
 def open_chosen(references: list[str], chosen: Chosen, reading: Reading = AS_THEY_SAY) -> list[Scene]:
-    """As `open_inputs`, with the options of formats sorted already."""
+    """As `open_inputs`, with the options of formats sorted already.
+
+    Raises:
+        ShapeError: where no file takes the unit, up axis or skeleton.
+    """
     from keypose.samples import open_scene
 
     for name, value in (("unit", reading.unit), ("up", reading.up)):

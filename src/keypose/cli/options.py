@@ -187,6 +187,7 @@ def reader_of(reference: str) -> Callable[..., Any] | None:
 
 
 def writer_of(output: Path | None) -> Callable[..., Any] | None:
+    """The function that will write an output; none where no format has its suffix or can be written."""
     if output is None:
         return None
     from keypose.io.registry import format_of_suffix

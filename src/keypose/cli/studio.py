@@ -9,7 +9,11 @@ from keypose.errors import FormatError
 
 
 def open_studio(references: list[str], *, host: str, port: int, open_browser: bool, allow_remote: bool) -> None:
-    """Serve the studio until Ctrl-C; prints its URL once it listens."""
+    """Serve the studio until Ctrl-C; prints its URL once it listens.
+
+    Raises:
+        FormatError: where a file is not there.
+    """
     from keypose.samples.graphs import names
 
     for reference in references:  # a wrong path is told before anything is started

@@ -152,7 +152,11 @@ def transform_keys(
     shift_value: Any = 0.0,
     components: Sequence[int] | None = None,
 ) -> KeyedCurve:
-    """Keys at ``scale_time * time + shift_s`` with ``scale_value * value + shift_value``; see `move_keys` and `scale_keys`."""
+    """Keys at ``scale_time * time + shift_s`` with ``scale_value * value + shift_value``; see `move_keys` and `scale_keys`.
+
+    Raises:
+        ShapeError: where a number is not finite, or the curve's values cannot be moved (rotations, booleans).
+    """
     chosen = key_indices(curve, keys)
     shift = np.broadcast_to(np.asarray(shift_value, np.float64), (curve.values.shape[1],))
     in_value = scale_value != 1 or bool(np.any(shift != 0))

@@ -151,7 +151,11 @@ def bend_path(path: GroundPath, angle_rad: float, first: int = 0, last: int | No
 
 
 def turn_path(path: GroundPath, angle_rad: float, frame: int = 0) -> GroundPath:
-    """A path turned as a whole about its place at a frame; positive angles turn from +Z to +X."""
+    """A path turned as a whole about its place at a frame; positive angles turn from +Z to +X.
+
+    Raises:
+        ShapeError: where the frame is not there or the angle is not finite.
+    """
     if not 0 <= frame < len(path.points):
         raise ShapeError(f"frame: expected 0 to {len(path.points) - 1}, got {frame}")
     pivot = path.points[frame]
@@ -159,7 +163,11 @@ def turn_path(path: GroundPath, angle_rad: float, frame: int = 0) -> GroundPath:
 
 
 def scale_path(path: GroundPath, factor: float, frame: int = 0) -> GroundPath:
-    """A path scaled about its place at a frame: longer or shorter steps in the same time."""
+    """A path scaled about its place at a frame: longer or shorter steps in the same time.
+
+    Raises:
+        ShapeError: where the factor is not positive or the frame is not there.
+    """
     if not (np.isfinite(factor) and factor > 0):
         raise ShapeError(f"factor: expected a positive number, got {factor}")
     if not 0 <= frame < len(path.points):
@@ -330,6 +338,9 @@ def speeds_for(path: GroundPath, speed_m_s: Any, *, smooth_s: float = 0.3, most:
     """Factors (T,) for `retime` with which a path is gone at a wanted speed, metres a second, one or (T,) of them.
 
     Where it stands it stays as fast as it is next to there. Factors lie between 1 / ``most`` and ``most``.
+
+    Raises:
+        ShapeError: where there are not one or T positive speeds.
     """
     wanted = np.asarray(speed_m_s, np.float64)
     count = len(path.points)
