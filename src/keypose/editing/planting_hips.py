@@ -18,7 +18,7 @@ from keypose.editing.planting_paths import FootPath, norms, smooth_over
 # squared (for a leg of LEG_M), and the acceleration of a knee by the radian a second squared.
 _PATH_WEIGHT = 20.0
 _LEVEL_WEIGHT = 100.0  # for the part along the ground
-_ACCELERATION_WEIGHT = 0.003
+_ACCELERATION_WEIGHTS = 0.01, 0.003  # the second where knees cannot be bounded with the first
 _KNEE_ACCELERATION_WEIGHT = 0.006
 _LEAST_BENT = 0.06  # a knee is taken as bent at least so far, radians
 _JUMP = 1000.0  # an angular acceleration of a knee that no knee has, radians a second squared
@@ -47,22 +47,23 @@ def hips_path(
     Source: S. Boyd et al., "Distributed optimization and statistical learning via the alternating direction method of
     multipliers" (2011), for the bounds; each round takes knees as linear about the path before.
     """
-    problem = _Problem(legs, paths, rate_hz, upright)
-    shift = np.zeros((len(legs[0].hip), 3))
-    for _ in range(_NEWTON_STEPS):
-        shift = problem.least_squares(shift)
-    best = problem.lowered(shift)
-    least = problem.knee_peak(best)
-    bounds: list[_Bound] = []
-    for _ in range(_BOUND_ROUNDS):
-        if least <= knee_limit:
-            break
-        bounds = problem.bounds(shift, _INSIDE * knee_limit, bounds)
-        shift = problem.bounded(shift, bounds)
-        found = problem.lowered(shift)
-        worst = problem.knee_peak(found)
-        if worst < least:
-            best, least = found, worst
+    best, least = np.zeros((len(legs[0].hip), 3)), np.inf
+    for weight in _ACCELERATION_WEIGHTS:
+        problem = _Problem(legs, paths, rate_hz, upright, weight)
+        shift = np.zeros_like(best)
+        for _ in range(_NEWTON_STEPS):
+            shift = problem.least_squares(shift)
+        bounds: list[_Bound] = []
+        for n in range(_BOUND_ROUNDS + 1):
+            if n > 0:
+                bounds = problem.bounds(shift, _INSIDE * knee_limit, bounds)
+                shift = problem.bounded(shift, bounds)
+            found = problem.lowered(shift)
+            worst = problem.knee_peak(found)
+            if worst < least:
+                best, least = found, worst
+            if least <= knee_limit:
+                return best
     return best
 
 
@@ -98,8 +99,11 @@ class _Bound:
 class _Problem:
     """Feet that are given, and hips to be found."""
 
-    def __init__(self, legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, upright: bool) -> None:
+    def __init__(
+        self, legs: Sequence[Leg], paths: Sequence[FootPath], rate_hz: float, upright: bool, acceleration: float
+    ) -> None:
         self.legs, self.paths, self.rate_hz, self.upright = legs, paths, rate_hz, upright
+        self.acceleration = acceleration * rate_hz**2
         self.frames = len(legs[0].hip)
         self.size = float(legs[0].length[0]) / LEG_M
         # where a knee jumps in the source (a glitch, or a pose of calibration before the motion) no hips can mend it
@@ -178,7 +182,7 @@ class _Problem:
 
     def _system(self, shift: Floats) -> _System:
         system = _System(self.frames)
-        system.add_own(self.wanted, self.upright, self.size, _ACCELERATION_WEIGHT * self.rate_hz**2)
+        system.add_own(self.wanted, self.upright, self.size, self.acceleration)
         for leg, path, before, smooth in zip(self.legs, self.paths, self.before, self.smooth, strict=True):
             line = leg.ankle + path.shift - leg.hip - shift
             distance = norms(line)
