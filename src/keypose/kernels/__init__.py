@@ -11,6 +11,11 @@ run on. Importing this package loads nothing; each module loads Numba when it is
     skin     linear-blend skinning
     euler    Euler angles to quaternions and back
     encode, decode   compressed clips of the run time
+    curves   thousands of curves of every kind
+    limbs    two-bone limbs of crowds
+    fullbody*   whole bodies: tables, tasks, limits, steps, and one pose by one call
+    graph*, crowd, skincrowd   animation graphs of crowds, and their skins
+    sight, collapse   rays through meshes, and fewer triangles
     meshopt  compressed buffers of glTF
     vectors, rotations, words, wordvectors, runtime   what they are made of
 """
