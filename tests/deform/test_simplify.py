@@ -91,21 +91,33 @@ def levels():
     return crowds.levels()
 
 
+def point_normals(places, triangles):
+    """At every vertex the mean of the faces around its place, by their size."""
+    _, point = np.unique(np.round(places, 6), axis=0, return_inverse=True)
+    corners = point.reshape(-1)[triangles]
+    a, b, c = (places[triangles[:, k]] for k in range(3))
+    sums = np.zeros((corners.max() + 1, 3))
+    for k in range(3):
+        np.add.at(sums, corners[:, k], np.cross(b - a, c - a))
+    return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-30))[point.reshape(-1)]
+
+
 def test_levels_of_the_human_have_no_flipped_or_degenerate_triangles(levels):
     human = samples.load("human").character
+    offsets = np.concatenate([[0], np.cumsum([p.mesh.vertex_count for p in human.parts])])
+    whole = np.concatenate([p.mesh.positions for p in human.parts]).astype(np.float64)
+    own = np.concatenate([p.mesh.triangles + offset for p, offset in zip(human.parts, offsets, strict=False)])
+    normals = point_normals(whole, own)  # those for shading lean, in the hair above all
     for level in levels[1:]:
-        offsets = np.concatenate([[0], np.cumsum([p.mesh.vertex_count for p in human.parts])])
-        whole = np.concatenate([p.mesh.positions for p in human.parts])
-        normals = np.concatenate([p.mesh.normals for p in human.parts])
         triangles = (offsets[level.parts] + level.vertices)[level.mesh.triangles]
-        a, b, c = (whole[triangles[:, k]].astype(np.float64) for k in range(3))
+        a, b, c = (whole[triangles[:, k]] for k in range(3))
         double = np.cross(b - a, c - a)
         longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
         size = np.linalg.norm(double, axis=1)
         assert np.mean(size < 0.01 * longest) < 0.01  # slivers there were before
         assert size.min() > 0
         facing = np.sum(double / size[:, None] * normals[triangles].mean(axis=1), axis=1)
-        assert np.sum(facing < -0.4) == 0 and np.mean(facing < -0.2) < 0.002  # of the hair's own there are five
+        assert facing.min() > -0.3 and np.mean(facing < 0.0) < 0.01  # in folds; of the full body -0.61
         assert len({tuple(sorted(t)) for t in triangles.tolist()}) == len(triangles)
 
 
