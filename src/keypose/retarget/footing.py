@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from keypose.analysis.contacts import foot_contacts
+from keypose.analysis.ground import true_runs
 from keypose.analysis.roles import SIDES
 from keypose.arrays import Floats
 from keypose.editing.planting import PlantOptions
@@ -90,6 +91,22 @@ def all_touching(footing: Sequence[Footing]) -> dict[str, np.ndarray]:
     for pair in footing:
         for point, flags in pair.touching.items():
             found[point if pair.hind else point.replace("_heel", "_hand")] = flags
+    return found
+
+
+def lengthened(touching: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray], fewest: int) -> dict[str, np.ndarray]:
+    """Contacts (T,) with the frames before and after in which the same foot touches the ground ``now``.
+
+    New ones begin only where they last for at least ``fewest`` frames.
+    """
+    found: dict[str, np.ndarray] = {}
+    for point, flags in touching.items():
+        either = flags | now.get(point, flags)
+        side = point.partition("_")[0]
+        same = np.any([f for p, f in touching.items() if p.startswith(f"{side}_")], axis=0)
+        for start, stop in true_runs(either):
+            either[start:stop] = stop - start >= fewest or same[start:stop].any()
+        found[point] = either
     return found
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from keypose.analysis.contacts import foot_contacts
 from keypose.analysis.roles import RoleMap, find_roles, joints_by_role
 from keypose.arrays import Floats, finite
 from keypose.editing.planting import PlantOptions, plant_feet
@@ -15,7 +16,7 @@ from keypose.evaluate import to_motion, world_rotations_positions
 from keypose.model import Clip, Motion, Pose, Skeleton
 from keypose.retarget.attach import attach_limbs
 from keypose.retarget.body import BodyFrames, body_frames
-from keypose.retarget.footing import Footing, all_touching, carried_by, footings, levelled, rise
+from keypose.retarget.footing import Footing, all_touching, carried_by, footings, lengthened, levelled, rise
 from keypose.retarget.hands import HandOptions, keep_hands
 from keypose.retarget.posing import as_pose, hips_path, model_rotations
 from keypose.retarget.report import RetargetReport, compare_motions
@@ -26,13 +27,16 @@ Progress = Callable[[int, int], None]
 
 # Percent that are done when contacts are found, bones turned, feet planted, hands kept; shares of the time, about.
 _FOUND, _POSED, _PLANTED, _MOVED = 10, 30, 90, 95
+_NEW_CONTACT_S = 0.1  # a contact that the source has not is planted if it lasts for so long
+_PLANT_ROUNDS = 4  # at most: contacts grow by a few frames, and as a rule are the same the second time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RetargetResult:
     """The motion on the target, how well it fits, and what was guessed.
 
-    ``touching``: point of a foot (``left_heel``, ``left_ball`` ...) -> (T,) bool, when it touches the ground in the source.
+    ``touching``: point of a foot (``left_heel``, ``left_ball`` ...) -> (T,) bool, when it touches the ground: as in the source, and as
+    long as it does on the target.
     """
 
     motion: Motion
@@ -155,23 +159,47 @@ def _moved(
         moved = as_pose(other, model, hips)
     show(_POSED, 100)
     if plant is not None:
+        planted: list[Footing] = []
+        told = _part(show, _POSED / 100, (_PLANTED - _POSED) / 100)
         for n, pair in enumerate(feet):
-            shell = Motion(other.skeleton.names, moved, motion.rate_hz)
-            moved = plant_feet(
-                shell,
-                other.skeleton,
-                pair.other,
-                touching=pair.touching,
-                heights=other.places[:, 1],
-                options=plant if pair.hind else replace(plant, hips="still"),
-                progress=_part(show, n / len(feet), 1 / len(feet)),
-            ).motion.pose
+            how = plant if pair.hind else replace(plant, hips="still")
+            moved, touching = _planted(
+                motion.rate_hz, moved, other, pair, how, _part(told, n / len(feet), 1 / len(feet))
+            )
+            planted.append(replace(pair, touching=touching))
+        feet = planted
     return moved, feet, own
 
 
+def _planted(
+    rate_hz: float, moved: Pose, other: BodyFrames, pair: Footing, options: PlantOptions, show: Progress
+) -> tuple[Pose, Mapping[str, np.ndarray]]:
+    """A pose with a pair of feet planted, and when they touch the ground.
+
+    A foot of another shape comes down and leaves more flatly than that of the source, and would slide where it touches already,
+    or still: contacts are as long as they are on this body.
+    """
+    shell = Motion(other.skeleton.names, moved, rate_hz)
+    planted, touching = moved, dict(pair.touching)
+    for turn in range(_PLANT_ROUNDS):
+        planted = plant_feet(
+            shell, other.skeleton, pair.other, touching=touching, heights=other.places[:, 1], options=options,
+            progress=_part(show, turn / _PLANT_ROUNDS, 1 / _PLANT_ROUNDS),
+        ).motion.pose  # fmt: skip
+        places = np.asarray(world_rotations_positions(other.skeleton, planted)[1], np.float64)
+        now = foot_contacts(
+            pair.other, places, rate_hz, other.leg_m, height_m=options.height_m, speed_m_s=options.speed_m_s
+        )
+        longer = lengthened(touching, now, round(_NEW_CONTACT_S * rate_hz))
+        if turn + 1 == _PLANT_ROUNDS or all(np.array_equal(longer[p], flags) for p, flags in touching.items()):
+            break
+        touching = longer
+    return planted, touching
+
+
 def _part(show: Progress, begin: float, share: float) -> Progress:
-    """A function for the progress of one pair of feet, of all that are planted."""
-    return lambda done, total: show(round(_POSED + (_PLANTED - _POSED) * (begin + share * done / total)), 100)
+    """A function for the progress of a part that begins somewhere, of one that is told in hundredths."""
+    return lambda done, total: show(round(100 * (begin + share * done / total)), 100)
 
 
 def _silent(done: int, total: int) -> None:
