@@ -86,6 +86,7 @@ def test_slipping_feet_stand_still(name: str, hips: str) -> None:
         assert knee_peak(skeleton, done.motion, roles) <= max(least, 1.5 * knee_peak(skeleton, motion, roles))
     before, after = (world(skeleton, m)[1][:, roles["hips"]] for m in (motion, done.motion))
     # hips follow feet that were moved by more than a leaning body bears
+    # a body leans by 5 cm at most after its feet; where they were moved further it goes along
     follow = max(0.05, done.moved_m.max() - 0.05)
     assert np.abs(after - before)[:, [0, 2]].max() < (follow if hips == "free" else 1e-9)
     if hips == "still":
@@ -250,7 +251,7 @@ def test_flat_feet_do_not_turn_and_lie_on_the_ground() -> None:
         for start, stop in true_runs(flat):
             flat_frames += stop - start
             spread = [float(np.max(quat.angle_between(t[start], t[start:stop]))) for t in turned]
-            assert spread[1] < 5e-5 < spread[0]  # what turns less is held already
+            assert spread[1] < 2e-6 < spread[0]
         for point in ("heel", "ball"):
             assert np.abs(done.footing.heights(f"{side}_{point}")[flat]).max() < 2e-3
     assert flat_frames > 20

@@ -119,7 +119,7 @@ def test_against_an_independent_result(data_dir: Path, take: str) -> None:
 def test_feet_hold_on_other_bodies(data_dir: Path, take: str, body: str) -> None:
     done = on_body(data_dir, take, body)
     assert done.report.slide_cm_s < 1.0
-    assert done.report.sink_cm < 0.15
+    assert done.report.sink_cm < 0.1
     assert done.report.mean_direction_deg < 5.0
     assert max(done.report.direction_deg[f"{s}_{b}_arm"] for s in ("left", "right") for b in ("upper", "lower")) < 0.1
 
@@ -132,7 +132,7 @@ def test_the_meter_that_looks_for_contacts_anew_says_so_too(data_dir: Path, take
     done = on_body(data_dir, take, body)
     found = measure_quality(done.motion, done.target.skeleton, done.target.roles)
     assert found.skate_cm_s is not None
-    assert found.skate_cm_s < (2.0 if take == "02_03" else 0.1)  # the run ends while a foot lands
+    assert found.skate_cm_s < 0.1
 
 
 @pytest.mark.data

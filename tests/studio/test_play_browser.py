@@ -159,8 +159,7 @@ def test_from_a_key_to_the_step_that_obeys_it(human: StudioPage) -> None:
     waits = sorted(now(human)["latencies"])
     between = np.diff(human.page.evaluate("window.pictures"))
     assert len(waits) >= 18
-    # a busy machine makes most of them longer, a page or a server that lets a picture pass all of them
-    assert waits[len(waits) // 4] < 2 * max(np.median(between), 1000 / 60) + 15, (waits, between)
+    assert waits[len(waits) // 2] < 2 * max(np.median(between), 1000 / 60) + 15, (waits, between)
 
 
 def test_keys_in_a_field_do_not_drive(human: StudioPage) -> None:

@@ -97,7 +97,8 @@ def all_touching(footing: Sequence[Footing]) -> dict[str, np.ndarray]:
 def lengthened(touching: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray], fewest: int) -> dict[str, np.ndarray]:
     """Contacts (T,) with the frames before and after in which the same foot touches the ground ``now``.
 
-    New ones begin only where they last for at least ``fewest`` frames.
+    New ones begin only where they last for at least ``fewest`` frames. No contact begins or ends within the first or the last
+    step of a motion, where nothing shows that it does.
     """
     found: dict[str, np.ndarray] = {}
     for point, flags in touching.items():
@@ -106,6 +107,9 @@ def lengthened(touching: Mapping[str, np.ndarray], now: Mapping[str, np.ndarray]
         same = np.any([f for p, f in touching.items() if p.startswith(f"{side}_")], axis=0)
         for start, stop in true_runs(either):
             either[start:stop] = stop - start >= fewest or same[start:stop].any()
+        if len(either) > 2:
+            either[0] |= either[1]
+            either[-1] |= either[-2]
         found[point] = either
     return found
 

@@ -28,7 +28,7 @@ Progress = Callable[[int, int], None]
 # Percent that are done when contacts are found, bones turned, feet planted, hands kept; shares of the time, about.
 _FOUND, _POSED, _PLANTED, _MOVED = 10, 30, 90, 95
 _NEW_CONTACT_S = 0.1  # a contact that the source has not is planted if it lasts for so long
-_PLANT_ROUNDS = 4  # at most: contacts grow by a few frames, and as a rule are the same the second time
+_PLANT_ROUNDS = 6  # at most: contacts grow by a few frames, and as a rule are the same after two or three
 
 
 @dataclass(frozen=True, slots=True, eq=False)
